@@ -62,8 +62,7 @@ class FixedPointEquation(abc.ABC, Generic[_Unknown]):
 
     def iterate(self, x: _Unknown, most: int, enough: float) -> tuple[_Unknown, Array]:
         """The last iterate and its change."""
-        dtype = jax.tree.leaves(x)[0].dtype
-        return newton.iterate_until_stalled(self.improve, x, dtype, most, enough)
+        return newton.iterate_until_stalled(self.improve, x, most, enough)
 
     def solve(self, guess: _Unknown, most: int, enough: float, refinements: int) -> tuple[_Unknown, StepInfo]:
         """The root near a guess, and the report: the last change, and whether it is round-off.

@@ -27,7 +27,6 @@ from typing import Any, NamedTuple, TypeVar
 import jax
 import jax.numpy as jnp
 from jax import Array, lax
-from jax.typing import DTypeLike
 
 from lieint_jax._numerics import small_linalg as la
 from lieint_jax._xla import saved
@@ -45,17 +44,17 @@ _Report = TypeVar("_Report")
 
 
 def iterate_until_stalled(
-    improve: Callable[[_Unknown], tuple[_Unknown, Array]], x: _Unknown, dtype: DTypeLike, most: int, enough: float
+    improve: Callable[[_Unknown], tuple[_Unknown, Array]], x: _Unknown, most: int, enough: float
 ) -> tuple[_Unknown, Array]:
     """Iterations until x no longer changes, at most `most`, and the last relative change.
 
     Args:
         improve: x ↦ the next x, and its relative change.
         x: the first iterate.
-        dtype: that of the changes.
         most: the most iterations.
         enough: the change, in eps, at which they end; below 2¹⁶ eps they also end when it no longer falls.
     """
+    dtype = jax.tree.leaves(x)[0].dtype
     eps = float(jnp.finfo(dtype).eps)
 
     def is_unfinished(carry: tuple[_Unknown, Array, Array, Array]) -> Array:

@@ -33,10 +33,10 @@ def _entire(series: Sequence[float], closed: Callable[[Array], Array], radius: f
     return function
 
 
-def _reciprocal_factorials(first: int, terms: int) -> list[float]:
-    """1/first!, −1/(first+2)!, 1/(first+4)!, …"""
+def _reciprocal_factorials(first: int) -> list[float]:
+    """1/first!, −1/(first+2)!, 1/(first+4)!, …, of which eleven reach the last bit where they are summed."""
     values, value = [], 1.0
-    for k in range(terms):
+    for k in range(11):
         values.append((-1) ** k * value)
         value /= (first + 2 * k + 1) * (first + 2 * k + 2)
     return values
@@ -54,8 +54,8 @@ def log1p_ratio(y: Array) -> Array:
 
 
 # cos √x, sin √x / √x and arctan √x / √x are analytic in x = |θ|², and so is everything built from them.
-cos_sqrt = _entire(_reciprocal_factorials(0, 11), lambda x: jnp.cos(jnp.sqrt(x)), 1.0)
-sinc_sqrt = _entire(_reciprocal_factorials(1, 11), lambda x: jnp.sin(jnp.sqrt(x)) / jnp.sqrt(x), 1.0)
+cos_sqrt = _entire(_reciprocal_factorials(0), lambda x: jnp.cos(jnp.sqrt(x)), 1.0)
+sinc_sqrt = _entire(_reciprocal_factorials(1), lambda x: jnp.sin(jnp.sqrt(x)) / jnp.sqrt(x), 1.0)
 arctan_sqrt = _entire(
     [(-1) ** k / (2 * k + 1) for k in range(18)], lambda x: jnp.arctan(jnp.sqrt(x)) / jnp.sqrt(x), 0.1
 )
@@ -72,6 +72,6 @@ def stumpff(x: Array) -> tuple[Array, Array, Array, Array]:
     sinhc = half[1] * jnp.sqrt(1 + (free * half[1]) ** 2 / 4)  # sinh x = 2 sinh ½x cosh ½x
     c3 = where(far, (1 - jnp.sin(bound) / bound) / bound**2, (sinhc - 1) / free**2)
     small = jnp.abs(x) < 1
-    c2 = where(small, horner(_reciprocal_factorials(2, 11), near) / 2, c2)
-    c3 = where(small, horner(_reciprocal_factorials(3, 11), near) / 6, c3)
+    c2 = where(small, horner(_reciprocal_factorials(2), near) / 2, c2)
+    c3 = where(small, horner(_reciprocal_factorials(3), near) / 6, c3)
     return 1 - x * c2, 1 - x * c3, c2, c3

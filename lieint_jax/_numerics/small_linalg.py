@@ -77,11 +77,8 @@ def columns(linear: Callable[..., PyTree], n: int, dtype: DTypeLike) -> list[PyT
     Each is the derivative by one number, in which JAX writes no product with the zeros of the others.
     """
     one, zero = jnp.ones((), dtype), jnp.zeros((), dtype)
-
-    def column(k: int) -> Callable[[Array], PyTree]:
-        return lambda x: linear(*(x if i == k else zero for i in range(n)))
-
-    return [jax.jvp(column(k), (zero,), (one,))[1] for k in range(n)]
+    along = (lambda x, k=k: linear(*(x if i == k else zero for i in range(n))) for k in range(n))
+    return [jax.jvp(column, (zero,), (one,))[1] for column in along]
 
 
 def at_each(function: Callable[[Array], PyTree], s: Array) -> PyTree:

@@ -88,7 +88,11 @@ class Transition:
         P = _propagate_covariance(self.matrix, _covariance("initial", initial, self.matrix.shape[-1]))
         if parameter_covariance is None:
             return P
-        S = self._sensitivity
+        leaves = jax.tree.leaves(self.by_parameters)
+        if not leaves:
+            raise ValueError("a covariance of parameters needs transition(…, parameters=…)")
+        rows = self.matrix.shape[:-1]
+        S = jnp.concatenate([jnp.reshape(x, (*rows, -1)) for x in leaves], axis=-1)  # (…, 2d, k)
         return P + _propagate_covariance(S, _covariance("parameter_covariance", parameter_covariance, S.shape[-1]))
 
     def ellipse(
@@ -119,15 +123,6 @@ class Transition:
         P = self.covariance(initial, parameter_covariance)[..., chosen, :][..., chosen]
         squares, axes = jnp.linalg.eigh(P)
         return Ellipse(sigmas * jnp.sqrt(jnp.maximum(squares[..., ::-1], 0)), axes[..., ::-1])
-
-    @property
-    def _sensitivity(self) -> Array:
-        """The columns of `by_parameters` as one matrix, (…, 2d, k)."""
-        leaves = jax.tree.leaves(self.by_parameters)
-        if not leaves:
-            raise ValueError("a covariance of parameters needs transition(…, parameters=…)")
-        rows = self.matrix.shape[:-1]
-        return jnp.concatenate([jnp.reshape(x, (*rows, -1)) for x in leaves], axis=-1)
 
 
 def _propagate_covariance(A: Array, P: Array) -> Array:

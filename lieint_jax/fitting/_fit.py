@@ -211,21 +211,17 @@ def _vector(bounds: PyTree, params: PyTree, data: PyTree, starts: bool) -> tuple
     if not starts:
         tree = _bounds.coordinates(bounds, params)
         return ravel_pytree(tree)[0], jax.eval_shape(lambda: tree)
-    _check_starts(params, data)
-    y = jax.jit(jax.vmap(lambda p: _bounds.coordinates(bounds, p)))(params)
-    if not _bounds.is_inside(bounds, y):
-        raise ValueError("some of the starts are not inside their bounds")
-    one = jax.eval_shape(lambda: jax.tree.map(lambda leaf: leaf[0], y))
-    return jax.vmap(lambda tree: ravel_pytree(tree)[0])(y), one
-
-
-def _check_starts(params: PyTree, data: PyTree) -> None:
     counts = {np.shape(leaf)[:1] for leaf in jax.tree.leaves((params, data))}
     if len(counts) != 1 or () in counts:
         raise ValueError(
             "with starts=True every leaf of params and data must have the same leading axis of starts, got shapes "
             f"{[np.shape(leaf) for leaf in jax.tree.leaves((params, data))]}"
         )
+    y = jax.jit(jax.vmap(lambda p: _bounds.coordinates(bounds, p)))(params)
+    if not _bounds.is_inside(bounds, y):
+        raise ValueError("some of the starts are not inside their bounds")
+    one = jax.eval_shape(lambda: jax.tree.map(lambda leaf: leaf[0], y))
+    return jax.vmap(lambda tree: ravel_pytree(tree)[0])(y), one
 
 
 class _Search(NamedTuple):

@@ -138,8 +138,14 @@ class Fit(NamedTuple, Generic[Params]):
         return f"loss {self.loss:.6g} after {self.iterations} iterations: {self.stopped}{edge}{failed}"
 
     def __str__(self) -> str:
-        errors = self.standard_errors if self.covariance is not None else None
-        return "\n".join([self.outcome, *_lines(self.params, errors), *filter(None, [self.message])])
+        """The outcome, a line for each parameter, with its standard error if it has one, and the message."""
+        values = ravel_pytree(self.params)[0]
+        spreads = ["" for _ in values]
+        if self.covariance is not None:
+            spreads = [f" ± {float(x):.2g}" for x in ravel_pytree(self.standard_errors)[0]]
+        names = number_names(self.params)
+        lines = [f"  {n} = {float(x):.8g}{s}" for n, x, s in zip(names, values, spreads, strict=True)]
+        return "\n".join([self.outcome, *lines, *filter(None, [self.message])])
 
 
 class End(NamedTuple):
@@ -205,7 +211,8 @@ def outcome(
     code, made = int(end.code), int(end.made)
     message = _message(end, names, bool(plausible), cause)
     if not success and end.covariance is not None:
-        warnings.warn(_warning(code, message), RuntimeWarning, stacklevel=3)
+        reason = "the fit is no success" if code in GOOD else f"the fit did not converge ({REASONS[code]})"
+        warnings.warn(f"{reason}: it has no standard errors; {message}", RuntimeWarning, stacklevel=3)
     return Fit(
         params,
         float(end.loss),
@@ -244,18 +251,6 @@ def _message(end: End, names: list[str], plausible: bool, cause: str = "") -> st
         remedy = "it has no standard error" if good and plausible else "widen the bound, or begin elsewhere"
         parts.append(f"{', '.join(at_side)} at a bound: {remedy}")
     return "; ".join(parts)
-
-
-def _warning(code: int, message: str) -> str:
-    reason = f"the fit did not converge ({REASONS[code]})" if code not in GOOD else "the fit is no success"
-    return f"{reason}: it has no standard errors; {message}"
-
-
-def _lines(params: PyTree, errors: PyTree) -> list[str]:
-    """A line for each parameter: its name in the tree, its value, and its standard error if there is one."""
-    values = ravel_pytree(params)[0]
-    spreads = ["" for _ in values] if errors is None else [f" ± {float(x):.2g}" for x in ravel_pytree(errors)[0]]
-    return [f"  {n} = {float(x):.8g}{s}" for n, x, s in zip(number_names(params), values, spreads, strict=True)]
 
 
 def number_names(params: PyTree) -> list[str]:

@@ -6,6 +6,7 @@ list of them.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Sequence
 from typing import Any
 
@@ -28,24 +29,17 @@ def computed_before(
     """The results of the operations that JAX computes before a program runs; arrays that are in no memory are None."""
     arrays, given = list(arrays), len(arrays)
     for x in operations:
-        varies = x.kind == "member"
-        arrays += x.results(_evaluate(x.program, leaves, arrays, members if varies else None, x.operands))
+        arrays += x.results(_operands(x, leaves, arrays, members))
     return arrays[given:]
 
 
-def _evaluate(
-    program: Program,
-    leaves: Sequence[Leaf],
-    arrays: Sequence[Any],
-    members: int | None,
-    shapes: Sequence[jax.ShapeDtypeStruct],
-) -> list[Array]:
-    """The outputs of a program as arrays (members, …), or (…) if they are shared."""
+def _operands(operation: Operation, leaves: Sequence[Leaf], arrays: Sequence[Any], members: int | None) -> list[Array]:
+    """The operands of an operation as arrays (members, …), or (…) if they are shared."""
 
     def entry(k: int, at: int) -> Array:
         return arrays[k].reshape(*([len(arrays[k])] if leaves[k].varies else []), -1)[..., at]
 
-    axes = () if members is None else (members,)
+    program, axes = operation.program, () if members is None or operation.kind == "shared" else (members,)
     values: dict[Value, _Value] = {x: entry(*x.data) for x in program.live if x.op == "argument"}
     for x in program.live:
         if x.op == "column":
@@ -54,11 +48,11 @@ def _evaluate(
     tables = dict(enumerate(arrays)) | {
         x.data: np.frombuffer(x.data[1], x.data[0]) for x in program.live if x.op == "values"
     }
-    evaluation = Evaluation(program, members or 1, lambda name, k: jnp.asarray(tables[name])[k], values)
+    evaluation = Evaluation(program, math.prod(axes), lambda name, k: jnp.asarray(tables[name])[k], values)
     evaluation.block(program.block)
     outputs = iter(program.outputs)
     found = []
-    for shape in shapes:
+    for shape in operation.operands:
         entries = [evaluation.value(next(outputs), bool(axes)) for _ in range(int(np.prod(shape.shape)))]
         stacked = jnp.stack(entries, -1) if entries else jnp.zeros(0, shape.dtype)
         found.append(stacked.reshape(*axes, *shape.shape))

@@ -48,13 +48,9 @@ def _is_real(x: AnyArray) -> bool:
     return jnp.issubdtype(x.dtype, jnp.floating)
 
 
-def _mask_of_results(loop: Loop, active: tuple[bool, ...]) -> tuple[bool, ...]:
-    """Which results have tangents, if those arguments have them."""
-    return _varying_and_real(loop.step, loop.carried, active)
-
-
 @functools.lru_cache(32)
-def _varying_and_real(step: _Step, carried: int, active: tuple[bool, ...]) -> tuple[bool, ...]:
+def _mask_of_results(step: _Step, carried: int, active: tuple[bool, ...]) -> tuple[bool, ...]:
+    """Which results have tangents, if those arguments have them."""
     varying = varying_in_loop(jaxpr_of(step), [False, *active], 1, carried)
     return tuple(v and _is_real(x) for v, x in zip(varying, step.out_avals, strict=True))
 
@@ -65,7 +61,7 @@ def _varying_and_real(step: _Step, carried: int, active: tuple[bool, ...]) -> tu
 def _jvp(primals: AnyArrays, tangents: AnyArrays, *, loop: Loop) -> tuple[Arrays, Arrays]:
     primals = [jnp.asarray(x) for x in primals]  # JAX passes on Python's numbers
     given = tuple(type(t) is not ad.Zero and _is_real(x) for x, t in zip(primals, tangents, strict=True))
-    real = _mask_of_results(loop, given)
+    real = _mask_of_results(loop.step, loop.carried, given)
     active = (*real[: loop.carried], *given[loop.carried :])
     dots = [ad.instantiate_zeros(t) for t, a in zip(tangents, active, strict=True) if a]
     found = _derivative(loop, active).bind(_joined(loop, active, primals, dots))
@@ -119,7 +115,8 @@ def _derivative(loop: Loop, active: tuple[bool, ...], linear: bool = False) -> L
 
 @functools.lru_cache(64)
 def _step_of_derivative(loop: Loop, active: tuple[bool, ...], linear: bool) -> Deferred:
-    mask, function, shapes = _mask_of_results(loop, active), function_of(loop.step), loop.step.in_avals[1:]
+    mask = _mask_of_results(loop.step, loop.carried, active)
+    function, shapes = function_of(loop.step), loop.step.in_avals[1:]
 
     def results(out: AnyArrays, slopes: AnyArrays) -> Arrays:
         slopes = _chosen(slopes, mask)
@@ -161,13 +158,13 @@ def _partial_eval(trace: Any, *tracers: AnyArray, loop: Loop) -> Arrays:
     if base.every is None:
         out = [trace.new_const(x) for x in base.bind(known)]
         found = trace.default_process_primitive(march_p, tracers, {"loop": loop})
-        slopes = _parted(base._replace(fixed=0), _mask_of_results(base, active), found)[1]
+        slopes = _parted(base._replace(fixed=0), _mask_of_results(base.step, base.carried, active), found)[1]
         return _results_of(base, active, out, slopes)
     if base.steps > _MOST_STORED and not base.is_piece:
         with set_current_trace(trace):
             of_active = _of_active(lambda _, *x: _in_pieces(base, *x), None, known, active)
             out, out_dots = jax.jvp(of_active, tuple(_chosen(known, active)), tuple(dots))
-        slopes = _chosen(out_dots, _mask_of_results(base, active))
+        slopes = _chosen(out_dots, _mask_of_results(base.step, base.carried, active))
         out, slopes = ([trace.to_jaxpr_tracer(x) for x in values] for values in (out, slopes))
     else:
         out, stored = _recorded(base, known)
@@ -184,7 +181,7 @@ partial_eval.custom_partial_eval_rules[march_p] = _partial_eval
 
 def _results_of(loop: Loop, active: tuple[bool, ...], out: AnyArrays, slopes: AnyArrays) -> Arrays:
     """The results of the loop of the step and its tangents: (carries, their tangents, results, their tangents)."""
-    return _joined(loop._replace(fixed=0), _mask_of_results(loop, active), out, slopes)
+    return _joined(loop._replace(fixed=0), _mask_of_results(loop.step, loop.carried, active), out, slopes)
 
 
 def _recorded(loop: Loop, arguments: AnyArrays) -> tuple[Arrays, Arrays]:
@@ -254,7 +251,7 @@ def _spread(y_bar: AnyArray, loop: Loop) -> AnyArray:
 def _backward_step(loop: Loop, active: tuple[bool, ...], seen: tuple[bool, ...]) -> Deferred:
     """(λ, sums, constants, carries before it, row, cotangents of results) ↦ (λ, sums, cotangents of the row)."""
     step, carried, fixed = loop[:3]
-    mask, function = _mask_of_results(loop, active), function_of(step)
+    mask, function = _mask_of_results(loop.step, loop.carried, active), function_of(step)
     carries, of_fixed, of_rows = loop.split(active)
     n, m = sum(carries), sum(carries) + sum(of_fixed)
     results = iter(seen)
@@ -285,7 +282,7 @@ def _partial_eval_of_equation(
     if origin is None or origin.linear or any(_parted(origin.loop, origin.active, unknown)[0]):
         return None, equation, [True] * len(out), [True] * len(out), more
     base, active = origin.loop, origin.active
-    mask = _mask_of_results(base, active)
+    mask = _mask_of_results(base.step, base.carried, active)
     dots = _results_of(base, active, [False] * len(mask), [True] * sum(mask))
     primals = [x for x, d in zip(out, dots, strict=True) if not d]
     inputs, loops = _parted(base, active, equation.invars)[0], {"loop": base}

@@ -14,7 +14,7 @@ from pathlib import Path
 
 from lieint_jax.native._emit import Tape, Writer
 from lieint_jax.native._program import Block, Loop, Program, Value
-from lieint_jax.native._traced import Leaf, leaves_before_rows
+from lieint_jax.native._traced import Leaf
 from lieint_jax.native.functions import Functions
 
 _FEW = 30  # the most shared operations that are computed in every block instead
@@ -51,7 +51,7 @@ def modules(
         return [text, _ALL_ROWS, functions.text()], 0
     first, rest, numbers = parts
     rest = Writer(rest, lanes, leaves, functions, Tape(numbers, writes=False)).text("steps", results, reverse)
-    before = leaves_before_rows(leaves)
+    before = [leaf._replace(kind="member") if leaf.kind == "carry" else leaf for leaf in leaves]  # the first row
     first = Writer(first, 1, before, functions, Tape(numbers, writes=True)).text("first", [], reverse)
     arguments = sum(leaf.kind != "counter" for leaf in leaves)
     carries = sum(leaf.kind == "carry" for leaf in leaves)

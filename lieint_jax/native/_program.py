@@ -73,14 +73,15 @@ class Block:
     Attributes:
         parent: the surrounding block; None for that of the whole program.
         items: numbers, loops and branches, in the order in which they are computed.
-        pinned: True if its operations must stay inside it (a branch), even if they depend on nothing inside.
+        floor: the outermost block to which its operations may move: not out of a branch, even if they depend on nothing
+            inside, which is `pinned`.
         tested: True if its operations must not move to its parent, the head of a loop whose body it is: the head is
             also computed after the last iteration, when an index is out of bounds.
         by_operation: its numbers by operation, operands, type and data.
     """
 
     def __init__(self, parent: Block | None = None, pinned: bool = False, tested: bool = False):
-        self.parent, self.pinned, self.tested = parent, pinned, tested
+        self.parent, self.tested = parent, tested
         self.depth: int = 0 if parent is None else parent.depth + 1
         self.floor: Block = self if pinned or parent is None else parent.floor
         self.items: list[Value | Loop | Branch | Map] = []

@@ -63,11 +63,6 @@ class Leaf(NamedTuple):
         return self.kind in ("row", "series")
 
 
-def leaves_before_rows(leaves: Sequence[Leaf]) -> list[Leaf]:
-    """The leaves of a program that runs before the first row, where a carried array is one of each member."""
-    return [leaf._replace(kind="member") if leaf.kind == "carry" else leaf for leaf in leaves]
-
-
 class Traced:
     """A function of one member and one row as a program of numbers.
 
@@ -155,7 +150,7 @@ class Traced:
             return None
         kind = "member" if any(x in program.varying for x in numbers) else "shared"
         shapes = [jax.ShapeDtypeStruct(x.shape, x.dtype) for x in shapes_of(equation.invars)]
-        self.outside.append(Operation(equation, kind, program, leaves_before_rows(self.leaves), shapes))
+        self.outside.append(Operation(equation, kind, program, shapes))
         return [self._argument(kind, x) for x in shapes_of(equation.outvars)]
 
     def _is_fixed(self, x: Value) -> bool:
@@ -171,15 +166,13 @@ class Operation(NamedTuple):
     Attributes:
         equation: the operation.
         kind: "member" or "shared", the kind of its operands.
-        program: computes its operands from `leaves`.
-        leaves: the arrays of the arguments; see `leaves_before_rows`.
+        program: computes its operands.
         operands: the shapes of its operands.
     """
 
     equation: JaxprEqn
     kind: str
     program: Program
-    leaves: list[Leaf]
     operands: list[jax.ShapeDtypeStruct]
 
     def results(self, operands: Sequence[ArrayLike]) -> list[Array]:

@@ -53,12 +53,18 @@ class MacCullagh(Potential):
         here, there = np.concatenate([i, j]), np.concatenate([j, i])
         d = (x[j] - x[i]).T
         both = vectors.vector(_twice(d))
-        own, arms = _quadrupole(self._entries(here), both, vectors.matrix(jnp.moveaxis(R[here], 0, -1)))
+        J, turned = self._entries(here), vectors.matrix(jnp.moveaxis(R[here], 0, -1))
+        Gamma = turned.T @ both
+        JGamma = J @ Gamma
+        own, arms = vectors.dot(Gamma, JGamma), turned @ JGamma  # Γ·JΓ and ΛJΓ
         along, *arm = (jnp.sum((m[there] * y).reshape(2, -1), axis=0) for y in (own, *arms))
-        masses, traces = m[i] * m[j], m[j] * trace[i] + m[i] * trace[j]
-        f, third = _pull(self.G, masses, traces, vectors.vector(d), along, vectors.Vector(arm))
-        f = jnp.stack(materialized(f))
-        torque = jnp.stack(m[there] * _twice(third) * vectors.cross(both, arms))
+        masses, traces, r = m[i] * m[j], m[j] * trace[i] + m[i] * trace[j], vectors.vector(d)
+        v = 1 / vectors.dot(r, r)
+        third = self.G * v * jnp.sqrt(v)
+        fifth = 3 * third * v  # 3G/r⁵
+        size = third * (masses + 1.5 * v * (traces - 5 * v * along))
+        f = jnp.stack(materialized(size * r + fifth * vectors.Vector(arm)))
+        torque = jnp.stack(m[there] * _twice(fifth) * vectors.cross(both, arms))
         rows = jnp.concatenate([jnp.concatenate([f, -f], axis=1), torque]).T
         of_each = np.argsort(here, kind="stable").reshape(self.count, -1)
         return rows if self.count == 2 else jnp.sum(rows[of_each], axis=1)
@@ -115,23 +121,6 @@ class MacCullagh(Potential):
 
 def _twice(x: Array) -> Array:
     return jnp.concatenate([x, x], axis=-1)
-
-
-def _quadrupole(J: vectors.Symmetric, d: vectors.Vector, R: vectors.Matrix) -> tuple[Array, vectors.Vector]:
-    """Γ·JΓ and ΛJΓ, with Γ = Λᵀd."""
-    Gamma = R.T @ d
-    JGamma = J @ Gamma
-    return vectors.dot(Gamma, JGamma), R @ JGamma
-
-
-def _pull(
-    G: Array, masses: Array, traces: Array, d: vectors.Vector, along: Array, arm: vectors.Vector
-) -> tuple[vectors.Vector, Array]:
-    """f_i and 3G/r⁵, from the sums of m Γ·JΓ and m ΛJΓ."""
-    v = 1 / vectors.dot(d, d)
-    third = G * v * jnp.sqrt(v)
-    size = third * (masses + 1.5 * v * (traces - 5 * v * along))
-    return size * d + 3 * third * v * arm, 3 * third * v
 
 
 def _times(J: Array, Gamma: Array) -> Array:

@@ -102,16 +102,12 @@ def saved_states(
     def without_time(state: State) -> State:
         return state._replace(t=None) if timed else state
 
-    start = at_start(without_time(state)), _reusable(step, state)
+    known = None
+    if step.reuses:  # in machine code at the start too
+        found = native.scan(lambda state, _: (state, step.known_at(state)), state, length=1)[1]
+        known = jax.tree.map(lambda x: x[0], found)
+    start = at_start(without_time(state)), known
     return native.march(step_once, start, nodes, rows=num_saves, every=save_every, most=most)[1]
-
-
-def _reusable(step: Step, state: State) -> Tree:
-    """What a step reuses at the start of a run, in machine code; None if it reuses nothing."""
-    if not step.reuses:
-        return None
-    found = native.scan(lambda state, _: (state, step.known_at(state)), state, length=1)[1]
-    return jax.tree.map(lambda x: x[0], found)
 
 
 def info_since(n: Array, every: ArrayLike, so_far: StepInfo, info: StepInfo) -> StepInfo:

@@ -118,7 +118,10 @@ class Engine:
         return *chosen, *arguments[2:]
 
     def _difference(self, arguments: tuple[Tree, ...], parts: Sequence[tuple[Tree, ...]]) -> str:
-        """In what a first step of a few members differs from XLA's; or ""."""
+        """The first result in which a first step of a few members differs from XLA's; or "".
+
+        It differs if a change of the states by rounding does not explain it: see `_few_members`.
+        """
 
         def of_member(m: int) -> tuple[Tree, ...]:
             carry, given, spans, _ = self._members(arguments, m)
@@ -132,9 +135,13 @@ class Engine:
         except UnsupportedError as reason:
             return str(reason)
         ours = [(carry, jax.tree.map(lambda x: np.asarray(x)[0], saved)) for carry, saved in ours]
-        return _differing_result(
-            jax.tree.map(lambda *x: np.concatenate(x), *ours), jax.tree.map(lambda *x: np.stack(x), *theirs)
-        )
+        ours, theirs = jax.tree.map(lambda *x: np.concatenate(x), *ours), jax.tree.map(lambda *x: np.stack(x), *theirs)
+        n = len(jax.tree.leaves(ours)[0]) // 2
+        for (path, x), y in zip(jax.tree_util.tree_leaves_with_path(ours), jax.tree.leaves(theirs), strict=True):
+            name, x = jax.tree_util.keystr(path), np.asarray(x)
+            if not name.endswith(_ROUNDING) and not _agree(x[:n], y[:n], y[n:]):
+                return f"in machine code a first step differs in {name}"
+        return ""
 
     def start(self, layout: Layout) -> tuple[Given, Carry]:
         """What is given for the members of a process, and their carry."""
@@ -196,19 +203,6 @@ def _few_members(job: Job) -> Job:
         return x
 
     return few._replace(states=jax.tree.map(changed, few.states), make_states=None, part=None)
-
-
-def _differing_result(ours: Tree, theirs: Tree) -> str:
-    """The first result in which machine code for the members of `_few_members` differs from XLA's program; or "".
-
-    It differs if a change of the states by rounding does not explain it.
-    """
-    n = len(jax.tree.leaves(ours)[0]) // 2
-    for (path, x), y in zip(jax.tree_util.tree_leaves_with_path(ours), jax.tree.leaves(theirs), strict=True):
-        name, x = jax.tree_util.keystr(path), np.asarray(x)
-        if not name.endswith(_ROUNDING) and not _agree(x[:n], y[:n], y[n:]):
-            return f"in machine code a first step differs in {name}"
-    return ""
 
 
 def _agree(ours: np.ndarray, theirs: np.ndarray, changed: np.ndarray) -> bool:

@@ -249,7 +249,10 @@ class Bar:
         self._bar = None
         if shown and self.is_visible():
             self._delayed = _in_notebook()
-            self._bar = _tqdm()(
+            with warnings.catch_warnings():  # of a notebook without ipywidgets, where the bar is text
+                warnings.filterwarnings("ignore", "IProgress not found")
+                from tqdm.auto import tqdm  # imported here, for a fast import of the package
+            self._bar = tqdm(
                 total=num_steps * count,
                 initial=done * count,
                 unit=unit,
@@ -290,14 +293,6 @@ def _in_notebook() -> bool:
     """True in the kernel of Jupyter."""
     shell = getattr(sys.modules.get("IPython"), "get_ipython", lambda: None)()
     return type(shell).__name__ == "ZMQInteractiveShell"
-
-
-def _tqdm() -> Any:
-    """The kind of bar that fits: widgets in a notebook that has ipywidgets, else text."""
-    with warnings.catch_warnings():
-        warnings.filterwarnings("ignore", "IProgress not found")
-        from tqdm.auto import tqdm  # imported here, for a fast import of the package
-    return tqdm
 
 
 @contextlib.contextmanager

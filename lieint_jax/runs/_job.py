@@ -134,15 +134,6 @@ class Job(NamedTuple):
     epoch: str = ""
     make_states: MakeStates | None = None
 
-    def with_members(self, members: int, make_states: MakeStates) -> Job:
-        """The job of a run of so many members, which describes its arrays, from that of the first of them."""
-
-        def repeat(x: Numbers) -> np.ndarray:
-            return np.broadcast_to(np.asarray(x)[:1], (members, *x.shape[1:]))  # a view that needs no memory
-
-        t0: Any = repeat(self.t0) if self.own_times else self.t0  # pyright: ignore
-        return self._replace(states=jax.tree.map(repeat, self.states), t0=t0, make_states=make_states)
-
     def restricted(self, members: range) -> Job:
         """The job of one of the run's parts, of these members only."""
         return self.select(slice(members.start, members.stop))._replace(part=members)

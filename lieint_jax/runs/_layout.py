@@ -11,7 +11,7 @@ import contextlib
 import math
 import os
 from collections.abc import Callable
-from functools import cache, partial
+from functools import cache
 from typing import Any, NamedTuple, TypeVar, cast
 
 import jax
@@ -127,8 +127,10 @@ def placed(layout: Layout, tree: _T, own: bool = True, first: int = 0) -> _T:
         tree = jax.tree.map(lambda x: x[mine.start - first : mine.stop - first], tree)
     if _on_cpu(layout):
         return tree
-    spread = NamedSharding(Mesh(np.array(layout.mesh.local_devices), (AXIS,)), PartitionSpec(*[AXIS] * own))
-    return jax.device_put(jax.tree.map(partial(_padded, layout), tree) if own else tree, spread)
+    devices = layout.mesh.local_devices
+    if own and (missing := -len(mine) % len(devices)):
+        tree = jax.tree.map(lambda x: np.concatenate([x, np.repeat(x[-1:], missing, axis=0)]), tree)
+    return jax.device_put(tree, NamedSharding(Mesh(np.array(devices), (AXIS,)), PartitionSpec(*[AXIS] * own)))
 
 
 def on_host(x: Numbers) -> Numbers:
@@ -138,11 +140,6 @@ def on_host(x: Numbers) -> Numbers:
 
 def _on_cpu(layout: Layout) -> bool:
     return layout.mesh.local_devices[0].platform == "cpu"
-
-
-def _padded(layout: Layout, x: np.ndarray) -> np.ndarray:
-    missing = -len(x) % len(layout.mesh.local_devices)
-    return np.concatenate([x, np.repeat(x[-1:], missing, axis=0)]) if missing else x
 
 
 def local_part(layout: Layout, x: Numbers, axis: int = 0) -> np.ndarray:

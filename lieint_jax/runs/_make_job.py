@@ -53,18 +53,15 @@ class MadeStates:
         """
         found, first = None, members.start // BLOCK * BLOCK
         for start in range(first, members.stop, BLOCK):
-            made = self._block(start)
+            if self._last is None or self._last[0] != start:
+                numbers = np.arange(start, min(start + BLOCK, self.members))
+                self._last = start, _checked(self.function(numbers), len(numbers))
+            made = self._last[1]
             if found is None:
                 found = jax.tree.map(lambda x: np.empty((len(members), *x.shape[1:]), x.dtype) if x.ndim else x, made)
             _fill(found, made, members, start)
         assert found is not None
         return found
-
-    def _block(self, start: int) -> State:
-        if self._last is None or self._last[0] != start:
-            numbers = np.arange(start, min(start + BLOCK, self.members))
-            self._last = start, _checked(self.function(numbers), len(numbers))
-        return self._last[1]
 
 
 def is_batch(step: Step, states: State, own_step: bool) -> bool:
@@ -112,7 +109,13 @@ def make_jobs(
     elif part is not None:  # the states of one member describe the arrays of all
         first = _make_members(step, made, range(1), options)
         own_step = promoted(checked_step(step), first.initial)[0]
-        whole = first.with_members(made.members, made.function)._replace(step=own_step)
+
+        def repeat(x: _layout.Numbers) -> np.ndarray:
+            return np.broadcast_to(np.asarray(x)[:1], (made.members, *x.shape[1:]))  # a view that needs no memory
+
+        t0: Any = repeat(first.t0) if first.own_times else first.t0  # pyright: ignore
+        states = jax.tree.map(repeat, first.states)
+        whole = first._replace(step=own_step, states=states, t0=t0, make_states=made.function)
     else:
         whole = _make_members(step, made, range(made.members), options)
     if part is None:
@@ -184,7 +187,7 @@ def checked_job(
     """
     first_member = 0 if made is None else made.start
     step, states, dtype = promoted(checked_step(step), states)
-    states, t0 = _split_time(step, states, first_member, merge=made is None)
+    states, t0 = _split_time(step, states, made)
     reduction, condition = _function(energy if reduce == "energy" else reduce), _function(first)
     clock, planned_steps = _make_clock(step, states, t0, dtype, dt, num_steps, times)
     if save_at is None:
@@ -253,17 +256,13 @@ def _entries_at_times(
     return times, nodes, times - np.asarray(clock.time(nodes)).astype(dtype), None
 
 
-def _split_time(step: Step, states: State, first: int = 0, merge: bool = True) -> tuple[State, _layout.Numbers | None]:
+def _split_time(step: Step, states: State, made: range | None) -> tuple[State, _layout.Numbers | None]:
     """The checked states without their time, with the member axis on every leaf, and their time: a scalar if shared.
 
-    If the step has a time of its own, it stays in the states, one for each member.
-
-    Args:
-        step: the step.
-        states: the states.
-        first: the number of the first of these members, for messages.
-        merge: whether equal times of all members are a shared one. Those of a part do not show whether all are equal.
+    If the step has a time of its own, it stays in the states, one for each member. Equal times of members that a
+    function has `made` are not a shared one: those of a part do not show whether all are equal.
     """
+    first = 0 if made is None else made.start
     shapes = {name: np.shape(x) for name, x in leaves_by_name(states).items()}
     for key in states.extra or {}:
         if not str(key).isidentifier():
@@ -285,7 +284,7 @@ def _split_time(step: Step, states: State, first: int = 0, merge: bool = True) -
         work = np.broadcast_to(work, (members,))
     if step.own_time and t is not None:
         return states._replace(t=np.broadcast_to(t, (members,)), work=work), None  # pyright: ignore
-    if merge and t is not None and t.ndim and np.all(t == t[0]):
+    if made is None and t is not None and t.ndim and np.all(t == t[0]):
         t = t[0]
     return states._replace(t=None, work=work), t
 

@@ -95,7 +95,11 @@ def submit(
     given = {"dt": dt, "num_steps": num_steps, "store": store, **options}
     inspect.signature(run).bind(step, states, **given)
     place = address(StoreOptions.of(store).path)
-    call = _pickler().dumps((step, states, given, uuid.uuid4().hex))  # the last, as Dask keeps results of equal calls
+    try:
+        import cloudpickle as pickler  # it pickles functions of a script too
+    except ImportError:
+        pickler = pickle
+    call = pickler.dumps((step, states, given, uuid.uuid4().hex))  # the last, as Dask keeps results of equal calls
     task = partial(_run_part, call, bool(jax.config.jax_enable_x64))  # pyright: ignore[reportAttributeAccessIssue]
     _wait(*_submitted(executor, task, parts), parts, progress)
     found = stored_run(str(place), read_run(place), step)
@@ -118,15 +122,6 @@ def _run_part(call: bytes, precision: bool, k: int, parts: int) -> str | None:
 def _call(call: bytes) -> Any:
     """The arguments of a run: the same objects for all parts that this process computes, for which code is compiled."""
     return pickle.loads(call)
-
-
-def _pickler() -> Any:
-    """A module that pickles functions of a script too, if there is one."""
-    try:
-        import cloudpickle
-    except ImportError:
-        return pickle
-    return cloudpickle
 
 
 def _submitted(executor: Executor, task: Any, parts: int) -> tuple[dict[int, Any], dict[int, Exception]]:

@@ -89,12 +89,6 @@ def _extrapolation(
     slope = rate(start, jax.tree.map(lambda x: x[0], moments))
     origin = jax.tree.map(jnp.zeros_like, start) if increments else start
 
-    def state_at(now: _Unknowns) -> _Unknowns:
-        return jax.tree.map(jnp.add, start, now) if increments else now
-
-    def leapfrog(h: Array, before: _Unknowns, now: _Unknowns, moment: PyTree) -> _Unknowns:
-        return jax.tree.map(lambda x, f: x + 2 * h * f, before, rate(state_at(now), moment))
-
     def first(h: Array) -> _Unknowns:
         return jax.tree.map(lambda x, f: x + h * f, origin, slope)
 
@@ -104,10 +98,14 @@ def _extrapolation(
     def step_once(carry: PyTree, row: PyTree) -> tuple[PyTree, None]:
         before, now, sums = carry
         h, following, last, moment, w = row
-        end = leapfrog(h, before, now, moment)
+        at = jax.tree.map(jnp.add, start, now) if increments else now
+        end = jax.tree.map(lambda x, f: x + 2 * h * f, before, rate(at, moment))  # leapfrog
 
         def close_substeps() -> PyTree:
-            return origin, first(following), _accumulate(sums, w, end, origin)
+            """Both sums plus w times this increment. (The sum of all w is 1 up to rounding only.)"""
+            pairs = zip(sums, w, strict=True)
+            after = (jax.tree.map(lambda s, x, z, v=v: s + v * (x - z), s, end, origin) for s, v in pairs)
+            return origin, first(following), tuple(after)
 
         return lax.cond(last, close_substeps, lambda: (now, end, sums)), None
 
@@ -117,15 +115,6 @@ def _extrapolation(
     zero = jax.tree.map(jnp.zeros_like, origin)
     rows = (h[of], jnp.append(h[of[1:]], 0), jnp.asarray(last), later, [x[of] for x in w])
     return scan_stages(step_once, (origin, first(h[0]), (zero, zero)), rows, store=False)[2]
-
-
-def _accumulate(
-    sums: tuple[_Unknowns, ...], w: Sequence[Array], end: _Unknowns, origin: _Unknowns
-) -> tuple[_Unknowns, ...]:
-    """Both sums plus w times this increment. (The sum of all w is 1 up to rounding only.)"""
-    return tuple(
-        jax.tree.map(lambda s, x, z, w=w: s + w * (x - z), s, end, origin) for s, w in zip(sums, w, strict=True)
-    )
 
 
 def extrapolate(system: System, order: int = 12, increments: bool = True) -> Extrapolated:

@@ -119,7 +119,9 @@ class SO3Midpoint(Step):
                 return wrong
             system = system.frozen(clock(state) + jnp.asarray(dt) / 2)
         J = np.asarray(system.inertia)
-        own = np.asarray(so3.Ad_star(state.q, state.p) - _rotor(system, state))
+        rotor = system.rotor if isinstance(system, AbstractGyrostat) else 0.0  # h_r
+        rotor = system.rotor(state) if isinstance(system, AbstractDrivenGyrostat) else rotor
+        own = np.asarray(so3.Ad_star(state.q, state.p) - rotor)
         turn = float(np.abs(dt) * np.linalg.norm(own / J if J.ndim == 1 else np.linalg.solve(J, own)))
         more = iterations if turn < 1 else ""  # beyond, Newton may fail to converge
         rod = self.kappa.solve_by == "scalar" and turn < 0.9 * self.kappa.limit
@@ -206,10 +208,3 @@ def examples(
 ) -> list[Step]:
     """The paper's three κ's, for free rigid bodies and gyrostats."""
     return [so3_midpoint(system, kappa) for kappa in KAPPAS]
-
-
-def _rotor(system: AbstractFreeBody | AbstractGyrostat | AbstractDrivenGyrostat, state: State) -> Array | float:
-    """h_r; 0 for a free body."""
-    if isinstance(system, AbstractDrivenGyrostat):
-        return system.rotor(state)
-    return system.rotor if isinstance(system, AbstractGyrostat) else 0.0

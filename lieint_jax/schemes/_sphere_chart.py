@@ -54,11 +54,8 @@ class SphereChart(Step):
         def residual(u: Array) -> Array:
             return u - dt * rate(z + u / 2)
 
-        def matrix(u: Array) -> la.Matrix:
-            return la.unrolled(jax.jacfwd(residual)(u))
-
         def correction(u: Array, f: Array) -> Array:
-            return jnp.stack(la.solve(matrix(u), la.unrolled(f)))
+            return jnp.stack(la.solve(la.unrolled(jax.jacfwd(residual)(u)), la.unrolled(f)))
 
         first = dt * rate(z)
         momentum = jnp.where(_largest(z[2:]) > 0, _largest(z[2:]), _largest(first[2:]))  # the latter from rest

@@ -258,7 +258,9 @@ def rod(
     bending = _along("section.bending", section.bending, n, (3,))
     curvature = _checks.real_array("natural_curvature", natural_curvature, (), (3,), (n, 3))
     internal = potentials.rod(ell, stretching, bending, curvature, energy=energy)
-    first, last = (_end(k, end) for k, end in enumerate(_pair(ends)))
+    if not isinstance(ends, Sequence) or isinstance(ends, str) or len(ends) != 2:
+        raise ValueError(f"ends must be a pair, each {_ENDS}, got {ends!r}")
+    first, last = (_end(k, end) for k, end in enumerate(ends))
     whole = _natural_shape(internal, _first_pose(pose, first))
     first, last = (whole[k] if isinstance(end, str) else end for k, end in ((0, first), (-1, last)))
     moving = np.arange(n + 1)[first is not None : n + 1 - (last is not None)]
@@ -292,12 +294,6 @@ PROPERTIES = SystemProperties(
 def _along(name: str, value: ArrayLike, n: int, shape: tuple[int, ...]) -> Array:
     """A number of a section for every element, (n, …)."""
     return jnp.broadcast_to(_checks.real_array(name, value, shape, (n, *shape)), (n, *shape))
-
-
-def _pair(ends: Any) -> Sequence[End]:
-    if not isinstance(ends, Sequence) or isinstance(ends, str) or len(ends) != 2:
-        raise ValueError(f"ends must be a pair, each {_ENDS}, got {ends!r}")
-    return ends
 
 
 def _end(k: int, end: Any) -> Any:

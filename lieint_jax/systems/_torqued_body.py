@@ -181,13 +181,10 @@ def _check_torque(body: TorquedBody) -> None:
             found = jax.eval_shape(value, number, q, vector)
         except (TypeError, IndexError, ValueError, AttributeError) as error:
             raise ValueError(f"torque fails as a function of t (), q (4,) and omega (3,): {error}") from error
-        if getattr(found, "shape", None) != (3,) or not _is_real(found):
+        kinds = jnp.floating, jnp.integer
+        if getattr(found, "shape", None) != (3,) or not any(jnp.issubdtype(found.dtype, kind) for kind in kinds):
             given = f"shape {found.shape} and dtype {found.dtype}" if hasattr(found, "shape") else f"{found!r}"
             raise ValueError(f"torque must return an array of real numbers of shape (3,), got {given}")
-
-
-def _is_real(x: Array) -> bool:
-    return jnp.issubdtype(x.dtype, jnp.floating) or jnp.issubdtype(x.dtype, jnp.integer)
 
 
 def _dipole_field(t: Time) -> Vector3:

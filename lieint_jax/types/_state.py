@@ -14,7 +14,7 @@ from lieint_jax._deprecated import warn_of_removal
 from lieint_jax.types import labeled
 from lieint_jax.types.members import Axis, map_over_run
 from lieint_jax.types.record import record
-from lieint_jax.types.shapes import Flag, PyTree, Scalar, Time
+from lieint_jax.types.shapes import Flag, PyTree, Time
 
 __all__ = ["State", "StepInfo", "Trajectory", "all_finite", "clock", "counts_work", "periods_of"]
 
@@ -163,12 +163,6 @@ def periods_of(body: Any, state: State) -> Any:
 def counts_work(state: State) -> bool:
     """Whether a state counts work, in total or law by law."""
     return state.work is not None or "works" in (state.extra or {})
-
-
-def counted_work(state: State) -> Scalar | None:
-    """The work in total, from that law by law if only this is counted; None if neither is."""
-    works = (state.extra or {}).get("works")
-    return state.work if state.work is not None or works is None else jnp.sum(works, axis=-1)
 
 
 def clock(state: State) -> Time:

@@ -11,7 +11,7 @@ from jax import Array
 
 from lieint_jax._deprecated import renamed_attribute
 from lieint_jax.types._group import PhaseSpace
-from lieint_jax.types._state import State, counted_work
+from lieint_jax.types._state import State
 from lieint_jax.types.shapes import MomentumMap, Scalar
 
 __all__ = ["System", "energy_less_work", "time_derivative"]
@@ -80,5 +80,7 @@ def time_derivative(system: System, state: State) -> State:
 
 def energy_less_work(system: System, state: State) -> Scalar:
     """H − W, a scalar, which is conserved: W is `state.work` or the sum of the laws' works, 0 if none is counted."""
-    energy, work = system.energy(state), counted_work(state)
+    energy, work, works = system.energy(state), state.work, (state.extra or {}).get("works")
+    if work is None and works is not None:
+        work = jnp.sum(works, axis=-1)
     return energy if work is None else energy - work

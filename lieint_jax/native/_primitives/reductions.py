@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import functools
+import itertools
 from collections.abc import Callable, Sequence
-from typing import Any
 
 import jax
 import numpy as np
@@ -40,20 +40,15 @@ def _reduction(op: str) -> Callable[..., np.ndarray]:
     return reduce
 
 
-def _empty_reduction(op: str, dtype: np.dtype) -> Any:
-    """The result of a reduction of no terms."""
-    if op in ("max", "min"):
-        ends = (-np.inf, np.inf) if dtype.kind == "f" else (False, True)
-        low, high = (np.iinfo(dtype).min, np.iinfo(dtype).max) if dtype.kind in "iu" else ends
-        return low if op == "max" else high
-    return {"add": 0, "mul": 1, "and": np.array(-1).astype(dtype), "or": 0, "xor": 0}[op]
-
-
 def reduce_terms(walk: AbstractWalk, op: str, terms: list[Value], dtype: np.dtype) -> Value:
     """x₁ ∘ x₂ ∘ …, from the left; of no terms, what a reduction by this operation starts from."""
-    if not terms:
-        return walk.builder.constant(_empty_reduction(op, dtype), dtype)
-    return functools.reduce(lambda x, y: walk.number(op, x, y), terms)
+    if terms:
+        return functools.reduce(lambda x, y: walk.number(op, x, y), terms)
+    low, high = (-np.inf, np.inf) if dtype.kind == "f" else (False, True)
+    if dtype.kind in "iu":
+        low, high = np.iinfo(dtype).min, np.iinfo(dtype).max
+    starts = {"add": 0, "mul": 1, "max": low, "min": high, "and": np.array(-1).astype(dtype), "or": 0, "xor": 0}
+    return walk.builder.constant(starts[op], dtype)
 
 
 def _cumulative(op: str) -> Callable[..., np.ndarray]:
@@ -86,22 +81,11 @@ def _product(
     a, b = inputs
     (a_sum, b_sum), (a_each, b_each) = dimension_numbers
     left, right = _as_matrices(a, a_each, a_sum), _as_matrices(b, b_each, b_sum)
-    dtype = np.dtype(out.dtype)
-
-    def as_result(x: Value) -> Value:
-        return walk.number("convert", x, dtype=dtype)
-
-    entries = [
-        reduce_terms(
-            walk,
-            "add",
-            [walk.number("mul", as_result(x), as_result(y)) for x, y in zip(row, column, strict=True)],
-            dtype,
-        )
-        for rows, columns in zip(left, right, strict=True)
-        for row in rows
-        for column in columns
-    ]
+    dtype, entries = np.dtype(out.dtype), []
+    for rows, columns in zip(left, right, strict=True):
+        for row, column in itertools.product(rows, columns):
+            factors = ([walk.number("convert", x, dtype=dtype) for x in pair] for pair in zip(row, column, strict=True))
+            entries.append(reduce_terms(walk, "add", [walk.number("mul", *pair) for pair in factors], dtype))
     return array_of(entries, out.shape)
 
 

@@ -96,15 +96,8 @@ def _arc(y: Pair, x: Pair, negative: LlvmValue) -> LlvmValue:
     return _angle(choose(swapped, x, y), choose(swapped, y, x), swapped, negative)
 
 
-def _asin(x: LlvmValue) -> LlvmValue:
-    return copy_sign(_arc(pair(abs(x)), _leg(x), x.constant("i1", False)), x)
-
-
-def _acos(x: LlvmValue) -> LlvmValue:
-    return _arc(_leg(x), pair(abs(x)), x < 0.0)
-
-
 ANGLES = {
     "sin": lambda x: _sincos(x)[0], "cos": lambda x: _sincos(x)[1], "sincos": _sincos, "tan": _tan,
-    "asin": _asin, "acos": _acos, "atan": _atan, "atan2": _atan2,
+    "asin": lambda x: copy_sign(_arc(pair(abs(x)), _leg(x), x.constant("i1", False)), x),
+    "acos": lambda x: _arc(_leg(x), pair(abs(x)), x < 0.0), "atan": _atan, "atan2": _atan2,
 }  # fmt: skip

@@ -5,22 +5,19 @@ whose message is one sentence that names the file.
 """
 
 from lieint_jax.runs.store._files import open_storage
-from lieint_jax.runs.store._leaves import leaves_by_name
-from lieint_jax.runs.store._open_archive import TIME, open_archive, read_trajectory, write_archive, write_trajectory
+from lieint_jax.runs.store._open_archive import open_archive, write_archive, write_trajectory
 from lieint_jax.runs.store._reading import check_system, load_results, load_store, open_run, step_from_store
 from lieint_jax.runs.store._storage import Address, StoreOptions, Url, address
 from lieint_jax.runs.store._untrusted import SUFFIXES, UnreadableError, parse_toml, read_toml, wrap_errors
 
 __all__ = [
     "SUFFIXES",
-    "TIME",
     "Address",
     "StoreOptions",
     "UnreadableError",
     "Url",
     "address",
     "check_system",
-    "leaves_by_name",
     "load_results",
     "load_store",
     "open_archive",
@@ -28,7 +25,6 @@ __all__ = [
     "open_storage",
     "parse_toml",
     "read_toml",
-    "read_trajectory",
     "step_from_store",
     "wrap_errors",
     "write_archive",

@@ -47,7 +47,10 @@ def digest(*values: object) -> str:
 def python_of(*values: object) -> str | None:
     """The Python version whose bytecode enters the digest of these values, such as "CPython 3.12", or None."""
     reader = _Digest()
-    reader.join("values", values)
+    try:
+        reader.join("values", values)
+    except NotDigestible:
+        return None
     return (
         f"{platform.python_implementation()} {sys.version_info[0]}.{sys.version_info[1]}"
         if reader.has_bytecode
@@ -148,8 +151,9 @@ class _Digest:
         own = {name: value for name, value in vars(f).items() if not name.startswith("__")}
         parts.append(self.add(own))
         if not _is_installed(f.__module__):
+            known = vars(builtins) | f.__globals__
             for name in sorted(_names(f.__code__, "LOAD_GLOBAL", "LOAD_NAME")):
-                parts.append(_hash(name) + self._variable(name, lambda name=name: _global(f, name), attributes))
+                parts.append(_hash(name) + self._variable(name, lambda name=name: known[name], attributes))
         self._trail.pop()
         return _hash("function", *parts)
 
@@ -233,10 +237,6 @@ def _instructions(code: CodeType) -> Iterable[dis.Instruction]:
 def _names(code: CodeType, *operations: str) -> set[str]:
     """The names that operations of a function, or of one that it defines, refer to."""
     return {str(i.argval) for i in _instructions(code) if i.opname in operations}
-
-
-def _global(f: FunctionType, name: str) -> object:
-    return f.__globals__[name] if name in f.__globals__ else vars(builtins)[name]
 
 
 def _installed_name(x: object) -> str | None:

@@ -13,7 +13,7 @@ from typing import Any
 
 from lieint_jax.runs.store._storage import Storage
 
-_STALE = 3600.0  # seconds after which an unfinished store counts as abandoned
+_STALE = 3600.0  # seconds after which an unfinished store is removed, as that of a process that was killed
 
 
 class Disk(Storage):
@@ -62,7 +62,10 @@ class Disk(Storage):
     def create_store(self, root: str, files: Mapping[str, bytes]) -> bool:
         """See `Storage`: under a temporary name, which is changed at last, so that the store never exists in part."""
         path = self._path
-        _remove_stale(path)
+        for folder in path.parent.glob(f".{glob.escape(path.name)}.*.partial"):
+            with contextlib.suppress(OSError):
+                if time.time() - folder.stat().st_mtime > _STALE:
+                    shutil.rmtree(folder)
         unfinished = Disk(path.with_name(f".{path.name}.{os.getpid()}-{os.urandom(4).hex()}.partial"))
         try:
             for name, data in files.items():
@@ -135,14 +138,6 @@ def _missing_folder() -> Iterator[None]:
         yield
     except NotADirectoryError as error:
         raise FileNotFoundError(*error.args) from None
-
-
-def _remove_stale(path: Path) -> None:
-    """Remove unfinished folders of stores at `path` that a process left long ago when it was killed."""
-    for folder in path.parent.glob(f".{glob.escape(path.name)}.*.partial"):
-        with contextlib.suppress(OSError):
-            if time.time() - folder.stat().st_mtime > _STALE:
-                shutil.rmtree(folder)
 
 
 def _sync(path: Path) -> None:

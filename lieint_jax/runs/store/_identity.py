@@ -45,6 +45,7 @@ def description(job: Job, engine: str, scenario: object = None) -> Table:
     """
     leaves, structure = jax.tree.flatten(job.step)
     flags = [f for f in os.environ.get("XLA_FLAGS", "").split() if "force_host_platform_device_count" not in f]
+    python = python_of(structure, job.reduction, job.condition, job.make_states)
     described = {
         "scheme": job.step.name,
         "system": type(job.step.system).__name__,
@@ -65,7 +66,7 @@ def description(job: Job, engine: str, scenario: object = None) -> Table:
         "function of first": _digest_or_reason(job.condition),
         "epoch": job.epoch or None,
         "dtype": str(job.dtype),
-        "versions": package_versions() | _python(structure, job.reduction, job.condition, job.make_states),
+        "versions": package_versions() | ({} if python is None else {"python": python}),
         "engine": engine,
         "compiler_options": compiler_options() if engine == "xla" else {},
         "XLA_FLAGS": " ".join(flags),
@@ -167,15 +168,6 @@ def _digest_or_reason(value: object) -> str | None:
         return None if value is None else digest(value)
     except NotDigestible as reason:
         return f"{_NO_DIGEST}{reason}"
-
-
-def _python(*values: object) -> dict[str, str]:
-    """The Python version whose bytecode enters the digests of the user's functions, if there are any."""
-    try:
-        found = python_of(*values)
-    except NotDigestible:
-        return {}
-    return {"python": found} if found else {}
 
 
 def digest_of_states(states: State) -> str:

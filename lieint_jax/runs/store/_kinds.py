@@ -6,8 +6,6 @@ import re
 from collections.abc import Callable, Mapping
 from typing import NamedTuple
 
-import numpy as np
-
 from lieint_jax.dates import epoch
 
 _MAX_LENGTH = 10**15  # of an axis of an array
@@ -120,8 +118,3 @@ def expect(name: str, kinds: _Kinds, dtypes: tuple[str, ...], *shapes: tuple[int
     if found not in shapes or len(shape) < least:
         wanted = f"({', '.join(map(str, shapes[0]))}, …)" if least > len(shapes[0]) else " or ".join(map(str, shapes))
         raise ValueError(f"{name} has shape {shape}, not {wanted}")
-
-
-def check_times(t: np.ndarray) -> None:
-    if not (np.isfinite(t).all() and ((np.diff(t) >= 0).all() or (np.diff(t) <= 0).all())):
-        raise ValueError("its times are not finite and in order")

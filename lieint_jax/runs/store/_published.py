@@ -80,12 +80,9 @@ class PublishedArray:
         published = self._published(rows, columns)
         if not published.all():
             where = published.reshape(*block.shape[:2], *[1] * (self.ndim - 2))
-            block = np.where(where, block, np.asarray(self._fill, self.dtype))
+            missing = {"f": np.nan, "i": -1}.get(self.dtype.kind, 0)
+            block = np.where(where, block, np.asarray(missing, self.dtype))
         return block[_in_block(times, t), _in_block(members, m), *index[2:]]
-
-    @property
-    def _fill(self) -> Any:
-        return {"f": np.nan, "i": -1}.get(self.dtype.kind, 0)
 
     def _published(self, rows: np.ndarray, columns: np.ndarray) -> np.ndarray:
         starts, entries = np.array(self._parts).T

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import warnings
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -177,20 +177,15 @@ def _from_store(
     system: System | None = None,
 ) -> _T:
     """The step, with this system, or the system of the run in a store."""
-    constants = _constants(path, attributes["constants"])
+    import zarr
+
+    store, names = open_zarr(open_storage(path)), attributes["constants"]
+    constants = {name: np.asarray(zarr.open_array(store, path=name, mode="r")[...]) for name in names}
     with wrap_errors(path, passed=(UnknownNameError,)):
         found = make(attributes["description"][what], constants, own or {}, system)
         if not isinstance(found, kind):
             raise ValueError(f"its description is not that of a {what}")
         return found
-
-
-def _constants(path: Address, names: Iterable[str]) -> dict[str, np.ndarray]:
-    """The arrays of these names, which the run does not change."""
-    import zarr
-
-    store = open_zarr(open_storage(path))
-    return {name: np.asarray(zarr.open_array(store, path=name, mode="r")[...]) for name in names}
 
 
 def _as_stored(loaded: Saves) -> Saves:

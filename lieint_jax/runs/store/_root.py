@@ -36,7 +36,7 @@ from lieint_jax.runs.store._chunks import (
 )
 from lieint_jax.runs.store._kinds import PROGRESS_KEYS, RUN_KEYS, check_table
 from lieint_jax.runs.store._leaves import Table
-from lieint_jax.runs.store._storage import Address, Storage
+from lieint_jax.runs.store._storage import Storage
 from lieint_jax.runs.store._untrusted import parse_json
 
 FORMAT = 6  # the format number of new stores; 0.2 wrote 2, and 0.3.0 wrote 3, or 4 in parts
@@ -344,16 +344,12 @@ def checksum(root: Table) -> str:
 
 
 def read_root(storage: Storage) -> Table | None:
-    """The root metadata of the store in a storage; None if there is no store."""
+    """The root metadata of the store in a storage, checked; None if there is no store."""
+    path = storage.address
     try:
         data = storage.read(ROOT)
     except FileNotFoundError:
         return None
-    return _checked_root(data, storage.address)
-
-
-def _checked_root(data: bytes, path: Address) -> Table:
-    """The root metadata of the store at `path` from its bytes."""
     try:
         root = parse_json(data)
     except ValueError as error:

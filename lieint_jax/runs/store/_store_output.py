@@ -75,10 +75,8 @@ class StoreOutput:
         self._since += seconds
         last = self._entries + self._pending_rows > self._job.num_saves
         whole = self._pending_rows and (self._entries + self._pending_rows) % self.buffer_rows == 0
-        if last or whole or (not self._pending_rows and (stop or self._since > _CHECKPOINT_EVERY)):
-            self._commit(carry, done, last)
-
-    def _commit(self, carry: Carry, done: int, last: bool) -> None:
+        if not (last or whole or (not self._pending_rows and (stop or self._since > _CHECKPOINT_EVERY))):
+            return
         self._settle(wait=True)
         pending, first, writer = self._pending, self._entries, self._writer
         number = writer.progress["commits"] + 1

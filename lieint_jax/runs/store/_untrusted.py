@@ -114,13 +114,11 @@ def read_toml(file: Traversable, name: str) -> dict[str, Any]:
 
 
 def parse_toml(text: str) -> dict[str, Any]:
-    """The tables of a TOML text; ValueError if it is none, or nested too deeply."""
-    _check_toml_depth(text)
-    return tomllib.loads(text)
+    """The tables of a TOML text.
 
-
-def _check_toml_depth(text: str) -> None:
-    """Raise ValueError if brackets of a TOML text are nested too deeply, or a key has too many parts."""
+    Raises:
+        ValueError: it is none; its brackets are nested too deeply, or a key has too many parts.
+    """
     depth = dots = 0
     for found in _TOML_MARKS.finditer(text):
         mark = found[0]
@@ -130,6 +128,7 @@ def _check_toml_depth(text: str) -> None:
             what = "brackets are nested" if depth > _TOML_DEPTH else "the parts of a key are nested"
             line = text.count("\n", 0, found.start()) + 1
             raise ValueError(f"{what} more than {_TOML_DEPTH} deep (at line {line})")
+    return tomllib.loads(text)
 
 
 def _missing_quotes(text: str, error: str) -> str:

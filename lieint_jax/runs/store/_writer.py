@@ -299,21 +299,18 @@ class Writer:
 
     def _put(self, slab: Slab) -> None:
         """Write a slab of this part's members into an array of all members, or of the series of all parts."""
-        array, dims = self._array(slab.name), dims_of(self._root.metas[slab.name])
+        if slab.name not in self._arrays:
+            import zarr
+
+            with _every_chunk():
+                self._arrays[slab.name] = zarr.open_array(self._store, path=slab.name, mode="r+")
+        array, dims = self._arrays[slab.name], dims_of(self._root.metas[slab.name])
         if dims[0] == "part":
             array[(self._k, *_slices(slab.at, slab.values.shape))] = slab.values
             return
         first = {"member": self._members.start}
         at = tuple(start + first.get(dim, 0) for start, dim in zip(slab.at, dims, strict=False))
         array[_slices(at, slab.values.shape)] = slab.values
-
-    def _array(self, name: str) -> Any:
-        if name not in self._arrays:
-            import zarr
-
-            with _every_chunk():
-                self._arrays[name] = zarr.open_array(self._store, path=name, mode="r+")
-        return self._arrays[name]
 
 
 def _slices(at: tuple[int, ...], shape: tuple[int, ...]) -> tuple[slice, ...]:

@@ -89,7 +89,7 @@ def constants(e2: Scalar, e3: Scalar, C: Scalar, H: Scalar, terms: int) -> tuple
     random accepted steps, |ΔtΩ| from 0.05 to 5, with moments up to 1 : 10⁶, none had an attitude error above 0.07 rad,
     in any order. For a ball that rotates by 90° per step, the end of the branch, all terms together are 63 %.
     """
-    powers = [_powers(x, 4) for x in (C / e3, H / e3, e2, e3)]
+    powers = [_powers(x) for x in (C / e3, H / e3, e2, e3)]
     checked = max(terms, 2)
     s, d = ([_term(polynomials, *powers) for polynomials in series[:checked]] for series in (_S, _D))
     total: tuple[Any, Any] = sum(s[:terms]), sum(d[:terms])
@@ -102,10 +102,10 @@ def _square(e2: Scalar, s: Array, d: Array) -> Array:
     return 3 * s * s + 2 * s * d + (1 - 2 * e2) * d * d
 
 
-def _powers(x: Array, most: int) -> _FromOne:
-    """1, x, x², …"""
+def _powers(x: Array) -> _FromOne:
+    """1, x, …, x⁴."""
     powers: _FromOne = [1.0, x]
-    while len(powers) <= most:
+    for _ in range(3):
         powers.append(powers[-1] * x)
     return powers
 

@@ -27,19 +27,16 @@ def explained(method: _F) -> _F:
             try:
                 signature.bind(*arguments, **options)
             except TypeError as wrong:
+                name, parameters = method.__name__, list(signature.parameters.values())[1:]
+                named = [x.name for x in parameters if x.kind is x.KEYWORD_ONLY]
+                first = ", ".join(x.name for x in parameters if x.kind is not x.KEYWORD_ONLY)
                 raise TypeError(
-                    f"{method.__name__}: {wrong}; {_accepted_arguments(method.__name__, signature)}"
+                    f"{name}: {wrong}; {first} may come first without a name, and {', '.join(named)} need theirs: "
+                    f"{name}({first}, {named[0]}=...)"
                 ) from None
             raise
 
     return cast("_F", call)
-
-
-def _accepted_arguments(name: str, signature: inspect.Signature) -> str:
-    parameters = list(signature.parameters.values())[1:]
-    named = [x.name for x in parameters if x.kind is x.KEYWORD_ONLY]
-    first = ", ".join(x.name for x in parameters if x.kind is not x.KEYWORD_ONLY)
-    return f"{first} may come first without a name, and {', '.join(named)} need theirs: {name}({first}, {named[0]}=...)"
 
 
 def timed(state: State, t: ArrayLike, work: ArrayLike | None) -> State:

@@ -138,7 +138,12 @@ class Body(Rotating):
         Raises:
             ValueError: no motion of this body in this mode has this ratio of the periods. A sphere has no such motion.
         """
-        moments, axes = _principal(self.inertia)
+        if self.inertia.ndim == 2:
+            moments, axes = _free_body.principal_axes(self.inertia)
+        else:
+            ascending = jnp.argsort(self.inertia)
+            moments = self.inertia[ascending]
+            axes = jnp.eye(3, dtype=moments.dtype)[:, ascending]
         period = _checks.real_array("precession", precession, ()).astype(moments.dtype)
         ratio = _checks.real_array("rotation", rotation, ()).astype(moments.dtype) / period
         _check_ratio(moments, ratio, period, long_axis)
@@ -181,14 +186,6 @@ class TimedBody(Body):
         super().check(state)
         if state.t is not None:
             check_timed(state)
-
-
-def _principal(J: Array) -> tuple[Array, Array]:
-    """Moments in ascending order, and their axes as columns."""
-    if J.ndim == 2:
-        return _free_body.principal_axes(J)
-    order = jnp.argsort(J)
-    return J[order], jnp.eye(3, dtype=J.dtype)[:, order]
 
 
 def _check_ratio(moments: Array, ratio: Array, precession: Array, long_axis: bool) -> None:
