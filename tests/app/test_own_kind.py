@@ -55,6 +55,24 @@ def test_a_store_of_an_own_kind_opens_without_it(folder, lieint):
         assert "written: top-invariants.png, top-invariants.pdf, top-motion.png" in out
 
 
+@pytest.mark.long
+def test_results_of_an_own_kind_with_functions_are_read_with_it(folder, lieint):
+    """A run at given times is reported without the option, since its kind has just run; the others need it."""
+    with_a_potential("Partial(height, self.mass_kg)")
+    kind, few = ["--kind", "spun.py:SpunTop"], ["--no-certificate", "--set", "members=2", "--set", "steps=40"]
+    out = lieint("run", "spun.toml", *few, "--set", "save_at=[0.001, 0.004]")
+    assert "at 3 of 3 saved times" in out
+    lieint.drew("spun-motion.png")
+    assert "energies are not computed: spun.npz: the run is of the kind" in lieint("info", "spun.npz")
+    assert "largest change of energy" in lieint("run", "spun.toml", *few, "--out", "spun.zarr")
+    assert "functions of the kind spun.py:SpunTop, and a store" in lieint("info", "spun.zarr")
+    assert "give --kind FILE.py:CLASS if it is yours" in lieint.refuse("animate", "spun.zarr")
+    for path in ("spun.npz", "spun.zarr"):
+        assert "largest change of energy" in lieint("info", path, *kind)
+        assert "2 frames" in lieint("animate", path, *kind, "--force", "--seconds", "0.1")
+    assert "at 3 of 3 saved times" in lieint("plot", "spun.npz", *kind, "--force")
+
+
 def test_a_slow_top_falls_and_a_fast_one_sleeps(folder):
     """At 0.975 and 1.5 of the spin that it needs: 2√(J₁ weight)/J₃ = 4 rad/s."""
     greatest = {}
@@ -135,6 +153,31 @@ def test_numpy_in_a_kind_whose_numbers_have_a_spread_is_explained(folder):
     step, states = scenarios.load("spun.toml").build()
     assert states.q.shape == (3, 4)
     assert step.system.inertia.shape == (3, 3)
+
+
+def with_a_potential(potential):
+    """The kind SpunTop with a system whose potential is a function."""
+    text = Path("spun.py").read_text(encoding="utf-8")
+    first, last = text.index("return systems."), text.index("    def start")
+    text = f"{text[:first]}return systems.potential_top(J, {potential})\n\n{text[last:]}"
+    height = "from jax.tree_util import Partial\n\ndef height(mass, Gamma):\n    return 0.3 * mass * Gamma[2]\n\n"
+    Path("spun.py").write_text(text if height in text else height + text, encoding="utf-8")
+
+
+@pytest.mark.parametrize("traced", [True, False])
+def test_a_function_that_uses_a_number_with_a_spread_is_explained(folder, traced):
+    """Otherwise the run fails within JAX, where nothing names the kind; a function of other numbers may use them."""
+    if not traced:
+        write("    mass_kg: PositiveFloat", "    traced = False\n    mass_kg: PositiveFloat", "spun.py")
+    with_a_potential("lambda Gamma: 0.3 * self.mass_kg * Gamma[2]")
+    with pytest.raises(ValueError, match=r"SpunTop defines must not itself use numbers .*Partial\(function, number\)"):
+        scenarios.load("spun.toml").build()
+    with_a_potential("Partial(height, self.mass_kg)")
+    step, _ = scenarios.load("spun.toml").build()
+    assert step.system.potential.args[0].shape == (3,)
+    if traced:
+        with_a_potential("lambda Gamma: 0.3 * self.radius_m * Gamma[2]")
+        assert scenarios.load("spun.toml").build()[1].q.shape == (3, 4)
 
 
 def kind_run(step, states, scenario):

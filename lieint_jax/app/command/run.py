@@ -119,8 +119,9 @@ def run(
     if not leader:
         return
     own = {} if in_store else scenarios.members_numbers(scenario)
+    own_kind = None if scenario.system in scenarios.kind_names() else scenario
     if isinstance(out, Url) or in_store:
-        show(info.contents(out))
+        show(info.contents(out, own=own_kind))
     else:
         description = {"scenario": scenario.model_dump(), "lieint_jax": __version__, "jax": jax.__version__}
         archives.write_trajectory(out, run.trajectory, description, own)
@@ -130,7 +131,7 @@ def run(
         show_written(out, *exports, about=f"{files.megabytes(out)}; lieint plot {out} reports on it and draws it")
         return
     if scenario.save_at is not None:
-        _report_outputs(out, pictures)
+        _report_outputs(out, pictures, own_kind)
         return
     doing = " and ".join(["drawing"] * pictures + ["certifying"] * certificate)
     show(f"  results in {out}{f'; {doing} …' if doing else ''}")
@@ -154,12 +155,15 @@ def _certify(scenario: Kind, run: runs.Run) -> None:
     show_time("the certificate")
 
 
-def _report_outputs(out: Path, pictures: bool) -> None:
-    """Report on a run with given output times; the report and pictures of its scenario require evenly spaced ones."""
+def _report_outputs(out: Path, pictures: bool, own: Kind | None) -> None:
+    """Report on a run with given output times; the report and pictures of its scenario require evenly spaced ones.
+
+    `own` is the scenario, if it is of a user's kind.
+    """
     if pictures:
-        info.plot(out)
+        info.plot(out, own=own)
     else:
-        show(info.contents(out))
+        show(info.contents(out, own=own))
         show_written(out, about=files.megabytes(out))
 
 

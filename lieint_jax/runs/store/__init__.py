@@ -4,6 +4,7 @@ The application reads its files through these names. A file that cannot be read 
 whose message is one sentence that names the file.
 """
 
+from lieint_jax.runs.store._description import UnknownNameError
 from lieint_jax.runs.store._files import open_storage
 from lieint_jax.runs.store._leaves import leaves_by_name
 from lieint_jax.runs.store._open_archive import TIME, open_archive, read_trajectory, write_archive, write_trajectory
@@ -16,6 +17,7 @@ __all__ = [
     "TIME",
     "Address",
     "StoreOptions",
+    "UnknownNameError",
     "UnreadableError",
     "Url",
     "address",
