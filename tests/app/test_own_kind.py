@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from documents import blocks
 
-from lieint_jax.app import kind, scenarios
+from lieint_jax.app import kind, plots, scenarios
 
 PAGE = (Path(__file__).parents[2] / "docs" / "pages" / "howto" / "kind.md").read_text(encoding="utf-8")
 
@@ -243,6 +243,37 @@ def test_a_spread_is_named_by_its_keys():
 def test_the_face_has_what_it_lists():
     assert all(hasattr(kind, name) for name in kind.__all__)
     assert sorted(kind.__all__) == kind.__all__
+
+
+def test_a_histogram_counts_every_member_and_those_without_a_value():
+    """The highest bars are the sums of the parts; `shown` leaves out the tail; no value is an empty panel."""
+    x = np.append(np.linspace(0.0, 1.0, 101), np.nan)
+    _, axes = plots.figure(3)
+    every, tail, empty = axes[0]
+    kind.draw_histogram(every, {"early": x[:40], "late": x[40:]}, "fall (s)", {"mean": 0.5})
+    early, late = every.containers
+    assert sum(bar.get_height() for bar in early) == 40
+    assert sum(bar.get_height() for bar in late) == 61
+    assert max(bar.get_y() + bar.get_height() for bar in (*early, *late)) < 10
+    assert every.get_xlabel() == "fall (s); 1 of 102 have none"
+    assert [text.get_text() for text in every.get_legend().get_texts()] == ["early", "late", "mean"]
+    kind.draw_histogram(tail, {"": x[:101]}, "fall (s)", shown=0.9)
+    assert sum(bar.get_height() for bar in tail.patches) == 91
+    assert tail.get_legend() is None
+    kind.draw_histogram(empty, {"": x[-1:]}, "fall (s)")
+    assert not empty.patches
+
+
+def test_paths_are_drawn_in_as_many_dimensions_as_the_panel_has():
+    path = np.arange(6.0).reshape(2, 3)
+    fig, axes = plots.figure(1)
+    for ax in (axes[0, 0], fig.add_subplot(projection="3d")):
+        kind.draw_paths(ax, {"center": path, "tip": path + 1})
+        assert [line.get_label() for line in ax.lines] == ["center", "tip"]
+        assert len({line.get_color() for line in ax.lines}) == 2
+        np.testing.assert_array_equal(
+            np.stack(getattr(ax.lines[0], "get_data_3d", ax.lines[0].get_data)()).T[:, 1], path[:, 1]
+        )
 
 
 def test_a_store_of_an_own_scheme_is_described_by_its_system(tmp_path, lieint):

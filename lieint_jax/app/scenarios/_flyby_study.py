@@ -17,6 +17,7 @@ from lieint_jax.app.scenarios._body import longitude_latitude
 from lieint_jax.app.scenarios._flyby_motion import Outcome, Passage, Spin
 from lieint_jax.app.scenarios._keys import HOUR
 from lieint_jax.app.scenarios._kind import for_last_run, picture
+from lieint_jax.app.scenarios._pictures import draw_histogram
 from lieint_jax.app.scenarios._report import Quantity, paragraphs, table_lines
 from lieint_jax.app.scenarios._runs import angles
 from lieint_jax.groups import so3
@@ -388,14 +389,10 @@ def draw_after(scenario: Flyby, axes: np.ndarray, run: Run) -> None:
         ("rotation of the pole (°)", x.pole_angle, None),
     )
     for ax, (label, values, initial) in zip(axes, panels, strict=False):
-        top = np.quantile(values, 0.99)
-        bins = np.linspace(values.min(), top + 0.02 * np.ptp(values[values <= top]), 50)
-        parts = [values[~after.long_axis], values[after.long_axis]]
-        ax.hist(parts, bins, stacked=True, color=[plots.BLUE, plots.RED], label=["short-axis mode", "long-axis mode"])
-        if initial is not None:
-            ax.axvline(initial, color=plots.INK, ls="--", lw=1.0, label="before (nominal)")
-        ax.set(xlabel=label, ylabel="members")
-    axes[0].legend()
+        parts = {"short-axis mode": values[~after.long_axis], "long-axis mode": values[after.long_axis]}
+        draw_histogram(ax, parts, label, {} if initial is None else {"before (nominal)": initial}, shown=0.99)
+    for ax in axes[1:5]:
+        ax.get_legend().remove()
     fig = axes[0].figure
     axes[5].remove()
     _draw_poles(fig.add_subplot(2, 3, 6, projection="polar"), before, after)
