@@ -119,9 +119,8 @@ def run(
     if not leader:
         return
     own = {} if in_store else scenarios.members_numbers(scenario)
-    own_kind = None if scenario.system in scenarios.kind_names() else scenario
     if isinstance(out, Url) or in_store:
-        show(info.contents(out, own=own_kind))
+        show(info.contents(out, own=_of_own_kind(scenario)))
     else:
         description = {"scenario": scenario.model_dump(), "lieint_jax": __version__, "jax": jax.__version__}
         archives.write_trajectory(out, run.trajectory, description, own)
@@ -131,7 +130,7 @@ def run(
         show_written(out, *exports, about=f"{files.megabytes(out)}; lieint plot {out} reports on it and draws it")
         return
     if scenario.save_at is not None:
-        _report_outputs(out, pictures, own_kind)
+        _report_outputs(out, pictures, scenario)
         return
     doing = " and ".join(["drawing"] * pictures + ["certifying"] * certificate)
     show(f"  results in {out}{f'; {doing} …' if doing else ''}")
@@ -155,11 +154,14 @@ def _certify(scenario: Kind, run: runs.Run) -> None:
     show_time("the certificate")
 
 
-def _report_outputs(out: Path, pictures: bool, own: Kind | None) -> None:
-    """Report on a run with given output times; the report and pictures of its scenario require evenly spaced ones.
+def _of_own_kind(scenario: Kind) -> Kind | None:
+    """The scenario, if its kind is a user's, which results do not name; else None."""
+    return None if scenario.system in scenarios.kind_names() else scenario
 
-    `own` is the scenario, if it is of a user's kind.
-    """
+
+def _report_outputs(out: Path, pictures: bool, scenario: Kind) -> None:
+    """Report on a run with given output times; the report and pictures of its scenario require evenly spaced ones."""
+    own = _of_own_kind(scenario)
     if pictures:
         info.plot(out, own=own)
     else:
