@@ -406,7 +406,8 @@ def _draw_poles(ax: Any, before: Outcome, after: Outcome) -> None:
     side = np.sign(before.pole[0, 2]) or 1.0
     for outcome, color, label in ((before, plots.GREEN, "before"), (after, plots.WINE, "after")):
         longitude, latitude = np.asarray(longitude_latitude(outcome.pole)).T
-        plots.points(ax, np.deg2rad(longitude), 90 - side * latitude, "", color, rasterized=True)
+        size = np.clip(4000 / len(longitude), 1.0, 10.0)
+        ax.scatter(np.deg2rad(longitude), 90 - side * latitude, s=size, lw=0, color=color, alpha=0.35, rasterized=True)
         ax.plot([], [], "o", ms=4, color=color, label=label)
     far = 90 - side * np.asarray(longitude_latitude(np.concatenate([before.pole, after.pole])))[:, 1]
     ax.set_rlim(0, 10 * np.ceil(np.quantile(far, 0.999) / 10))
