@@ -11,7 +11,7 @@ A kind is a class, in the package or in a user's own file; a scenario names it b
 | `quantity`, `picture`, `for_last_run` | mark methods: a measured quantity, a picture, a value computed once |
 | `Conserved`, `Quantity` | rows of the report |
 | `series`, `nominal_state`, `nominal_system` | functions of a run |
-| `draw_members`, `draw_errors`, `draw_changes`, `draw_on_sphere` | panels of pictures |
+| `draw_members`, `draw_errors`, `draw_changes`, `draw_on_sphere`, `draw_paths`, `draw_histogram` | panels of pictures |
 """
 
 from lieint_jax.app.scenarios._body import BodyKind, TopKind
@@ -35,7 +35,14 @@ from lieint_jax.app.scenarios._keys import (
     checked,
 )
 from lieint_jax.app.scenarios._kind import Kind, for_last_run, picture, quantity, step_of
-from lieint_jax.app.scenarios._pictures import draw_changes, draw_errors, draw_members, draw_on_sphere
+from lieint_jax.app.scenarios._pictures import (
+    draw_changes,
+    draw_errors,
+    draw_histogram,
+    draw_members,
+    draw_on_sphere,
+    draw_paths,
+)
 from lieint_jax.app.scenarios._report import Conserved, Quantity
 from lieint_jax.app.scenarios._runs import nominal_state, nominal_system, series
 
@@ -64,8 +71,10 @@ __all__ = [
     "checked",
     "draw_changes",
     "draw_errors",
+    "draw_histogram",
     "draw_members",
     "draw_on_sphere",
+    "draw_paths",
     "for_last_run",
     "nominal_state",
     "nominal_system",

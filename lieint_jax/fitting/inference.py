@@ -146,6 +146,8 @@ class Problem:
         known = (*self.names, *self.quantities)
         if unknown := [p.quantity for p in self.published if p.quantity not in known]:
             raise ValueError(f"a published value is of {unknown[0]!r}, but the names are {', '.join(known)}")
+        if not isinstance(self.noise, StudentT) and not np.all(np.asarray(self.noise) > 0):
+            raise ValueError(f"noise must be a positive standard deviation, got {self.noise}")
 
     @property
     def names(self) -> list[str]:
@@ -545,14 +547,27 @@ class Inference(NamedTuple):
         return None if self.coverage is None else np.delete(self.coverage.pulls, slice(p, p + levels), axis=1)
 
 
-def infer(problem: Problem, quick: bool = False, progress: bool = True) -> Inference:
-    """Fit from many starts, test and enlarge the errors, and predict; `quick` uses a fifth of all numbers."""
-    sets, members = (20, 200) if quick else (100, 1000)
+def _check_shapes(problem: Problem) -> None:
+    """Raise ValueError if the errors, the times or the derived quantities do not fit together."""
     if problem.simulate is None and problem.shape != np.shape(problem.data):
         raise ValueError(
             f"the errors have shape {problem.shape}, but the data {np.shape(problem.data)}: return calculated less "
             "observed values, or give simulate=, which makes synthetic data"
         )
+    rows = problem.shape[1 if problem.levels else 0] if problem.shape else 1
+    if problem.t is not None and np.shape(problem.t) != (rows,):
+        raise ValueError(f"t must hold the times of the {rows} rows of errors, got the shape {np.shape(problem.t)}")
+    if problem.derived is not None:
+        motion = _split_noise(problem.guess)[0]
+        found, named = jax.eval_shape(problem.derived, motion, problem.data).shape, (len(problem.quantities),)
+        if found != named:
+            raise ValueError(f"derived returns the shape {found}, but `quantities` has {named[0]} names: needs {named}")
+
+
+def infer(problem: Problem, quick: bool = False, progress: bool = True) -> Inference:
+    """Fit from many starts, test and enlarge the errors, and predict; `quick` uses a fifth of all numbers."""
+    sets, members = (20, 200) if quick else (100, 1000)
+    _check_shapes(problem)
     random, known = random_starts(problem, 2 * sets - 1, 1), not problem.levels
     starts = jax.tree.map(lambda first, more: jnp.concatenate([first[None], more]), problem.guess, random)
     data = repeat(problem.data, 2 * sets)

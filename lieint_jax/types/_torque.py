@@ -234,7 +234,10 @@ def as_law(law: Any, frame: str = "body") -> Law:
     if isinstance(law, Law):
         return law
     if not (callable(law) or hasattr(law, "during")):
-        raise ValueError(f"torque must be a function of (t, q, omega) with a value of shape (3,), got {law!r}")
+        raise ValueError(
+            "torque must be a function of (t, q, omega) with a value of shape (3,), a law, or a sum of laws, such as "
+            f"a + b or torques.total([a, b]), got {law!r}"
+        )
     return Function(callable_pytree(law), getattr(law, "frame", frame))
 
 

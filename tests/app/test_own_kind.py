@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from documents import blocks
 
-from lieint_jax.app import kind, scenarios
+from lieint_jax.app import kind, plots, scenarios
 
 PAGE = (Path(__file__).parents[2] / "docs" / "pages" / "howto" / "kind.md").read_text(encoding="utf-8")
 
@@ -53,6 +53,24 @@ def test_a_store_of_an_own_kind_opens_without_it(folder, lieint):
         assert "--kind top.py:SleepingTop draws and reports as its own kind does" in out
         assert ("(top.py:SleepingTop is not here: give the place of its file)" in out) is gone
         assert "written: top-invariants.png, top-invariants.pdf, top-motion.png" in out
+
+
+@pytest.mark.long
+def test_results_of_an_own_kind_with_functions_are_read_with_it(folder, lieint):
+    """A run at given times is reported without the option, since its kind has just run; the others need it."""
+    with_a_potential("Partial(height, self.mass_kg)")
+    kind, few = ["--kind", "spun.py:SpunTop"], ["--no-certificate", "--set", "members=2", "--set", "steps=40"]
+    out = lieint("run", "spun.toml", *few, "--set", "save_at=[0.001, 0.004]")
+    assert "at 3 of 3 saved times" in out
+    lieint.drew("spun-motion.png")
+    assert "energies are not computed: spun.npz: the run is of the kind" in lieint("info", "spun.npz")
+    assert "largest change of energy" in lieint("run", "spun.toml", *few, "--out", "spun.zarr")
+    assert "functions of the kind spun.py:SpunTop, and a store" in lieint("info", "spun.zarr")
+    assert "give --kind FILE.py:CLASS if it is yours" in lieint.refuse("animate", "spun.zarr")
+    for path in ("spun.npz", "spun.zarr"):
+        assert "largest change of energy" in lieint("info", path, *kind)
+        assert "2 frames" in lieint("animate", path, *kind, "--force", "--seconds", "0.1")
+    assert "at 3 of 3 saved times" in lieint("plot", "spun.npz", *kind, "--force")
 
 
 def test_a_slow_top_falls_and_a_fast_one_sleeps(folder):
@@ -137,6 +155,31 @@ def test_numpy_in_a_kind_whose_numbers_have_a_spread_is_explained(folder):
     assert step.system.inertia.shape == (3, 3)
 
 
+def with_a_potential(potential):
+    """The kind SpunTop with a system whose potential is a function."""
+    text = Path("spun.py").read_text(encoding="utf-8")
+    first, last = text.index("return systems."), text.index("    def start")
+    text = f"{text[:first]}return systems.potential_top(J, {potential})\n\n{text[last:]}"
+    height = "from jax.tree_util import Partial\n\ndef height(mass, Gamma):\n    return 0.3 * mass * Gamma[2]\n\n"
+    Path("spun.py").write_text(text if height in text else height + text, encoding="utf-8")
+
+
+@pytest.mark.parametrize("traced", [True, False])
+def test_a_function_that_uses_a_number_with_a_spread_is_explained(folder, traced):
+    """Otherwise the run fails within JAX, where nothing names the kind; a function of other numbers may use them."""
+    if not traced:
+        write("    mass_kg: PositiveFloat", "    traced = False\n    mass_kg: PositiveFloat", "spun.py")
+    with_a_potential("lambda Gamma: 0.3 * self.mass_kg * Gamma[2]")
+    with pytest.raises(ValueError, match=r"SpunTop defines must not itself use numbers .*Partial\(function, number\)"):
+        scenarios.load("spun.toml").build()
+    with_a_potential("Partial(height, self.mass_kg)")
+    step, _ = scenarios.load("spun.toml").build()
+    assert step.system.potential.args[0].shape == (3,)
+    if traced:
+        with_a_potential("lambda Gamma: 0.3 * self.radius_m * Gamma[2]")
+        assert scenarios.load("spun.toml").build()[1].q.shape == (3, 4)
+
+
 def kind_run(step, states, scenario):
     import lieint_jax as li
 
@@ -200,6 +243,37 @@ def test_a_spread_is_named_by_its_keys():
 def test_the_face_has_what_it_lists():
     assert all(hasattr(kind, name) for name in kind.__all__)
     assert sorted(kind.__all__) == kind.__all__
+
+
+def test_a_histogram_counts_every_member_and_those_without_a_value():
+    """The highest bars are the sums of the parts; `shown` leaves out the tail; no value is an empty panel."""
+    x = np.append(np.linspace(0.0, 1.0, 101), np.nan)
+    _, axes = plots.figure(3)
+    every, tail, empty = axes[0]
+    kind.draw_histogram(every, {"early": x[:40], "late": x[40:]}, "fall (s)", {"mean": 0.5})
+    early, late = every.containers
+    assert sum(bar.get_height() for bar in early) == 40
+    assert sum(bar.get_height() for bar in late) == 61
+    assert max(bar.get_y() + bar.get_height() for bar in (*early, *late)) < 10
+    assert every.get_xlabel() == "fall (s); 1 of 102 have none"
+    assert [text.get_text() for text in every.get_legend().get_texts()] == ["early", "late", "mean"]
+    kind.draw_histogram(tail, {"": x[:101]}, "fall (s)", shown=0.9)
+    assert sum(bar.get_height() for bar in tail.patches) == 91
+    assert tail.get_legend() is None
+    kind.draw_histogram(empty, {"": x[-1:]}, "fall (s)")
+    assert not empty.patches
+
+
+def test_paths_are_drawn_in_as_many_dimensions_as_the_panel_has():
+    path = np.arange(6.0).reshape(2, 3)
+    fig, axes = plots.figure(1)
+    for ax in (axes[0, 0], fig.add_subplot(projection="3d")):
+        kind.draw_paths(ax, {"center": path, "tip": path + 1})
+        assert [line.get_label() for line in ax.lines] == ["center", "tip"]
+        assert len({line.get_color() for line in ax.lines}) == 2
+        np.testing.assert_array_equal(
+            np.stack(getattr(ax.lines[0], "get_data_3d", ax.lines[0].get_data)()).T[:, 1], path[:, 1]
+        )
 
 
 def test_a_store_of_an_own_scheme_is_described_by_its_system(tmp_path, lieint):

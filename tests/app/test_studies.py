@@ -191,6 +191,13 @@ def test_a_problem_that_cannot_be_fitted_is_refused_in_a_sentence():
             lambda: inference.infer(decay(data=jnp.asarray(DECAY)[:, None]), True, False),
             r"shape \(40, 40\), but the data",
         ),
+        (lambda: decay(noise=-0.05), "noise must be a positive standard deviation, got -0.05"),
+        (lambda: decay(noise=np.append(np.full(39, 0.05), np.nan)), "noise must be a positive"),
+        (lambda: inference.infer(decay(t=T[:3]), True, False), r"times of the 40 rows of errors, got the shape \(3,\)"),
+        (
+            lambda: inference.infer(decay(quantities=("half-life (s)", "mean life (s)")), True, False),
+            r"derived returns the shape \(1,\), but `quantities` has 2 names",
+        ),
     ]
     for make, words in cases:
         with pytest.raises(ValueError, match=words):

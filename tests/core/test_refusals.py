@@ -98,6 +98,7 @@ LAWS = [
     (lambda: schemes.torqued_midpoint(torqued_body(J, spin), iterations=0), "iterations must be an integer ≥ 1"),
     (lambda: DAMPER + torques.kane_damper(0.1, 0.1), "the same key .damper. .* give one of them"),
     (lambda: torques.total([3.0]), "torque must be a function of"),
+    (lambda: torqued_body(J, [torques.viscous(0.1)]), r"a sum of laws, such as a \+ b or torques\.total\(\[a, b\]\)"),
     (lambda: torques.wheels([[1.0, 1.0, 0]], 0.1), "axes must be unit vectors"),
     (lambda: torques.wheels([1.0, 0, 0], 0.1), r"axes must have shape \(m, 3\)"),
     (lambda: torques.wheels(WHEELS.axes, [0.1, 0.2]), r"inertias must have shape \(\) or \(3,\)"),

@@ -35,6 +35,7 @@ def animate(
     force: bool = False,
     span: Span = (None, None),
     shapes: Sequence[Path] = (),
+    own_kind: str = "",
 ) -> None:
     """Write an animation of one member of a stored run, with the paths of body axes and the momentum vectors.
 
@@ -48,6 +49,7 @@ def animate(
         force: replace an existing file.
         span: the times to show, from the first to the second, all of it. Without the second, as much as is smooth.
         shapes: files with the shapes of the bodies, see `meshes.read`.
+        own_kind: the kind of its scenario, FILE.py:CLASS, if it is a user's.
 
     Raises:
         ValueError: `out` cannot be written, the run has no rigid bodies or no states, or a program is not installed.
@@ -70,7 +72,7 @@ def animate(
         raise ValueError(f"{path} holds the initial states only: there is nothing to animate yet")
     if not 0 <= member < run.state.p.shape[1]:
         raise ValueError(f"the run has members 0 to {run.state.p.shape[1] - 1}, got --member {member}")
-    title, select = info.title_and_states(path, run, metadata)
+    title, select = info.title_and_states(path, run, metadata, info.own_scenario(path, metadata, own_kind))
     one, found = select(members=slice(member, member + 1)).member(0), [meshes.read(file) for file in shapes]
     scene = scene_of(one, title, frames, span, found)
     if seconds is None and span[1] is not None and scene.needed > len(scene.t):

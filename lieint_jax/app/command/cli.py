@@ -194,7 +194,8 @@ def _list(options: argparse.Namespace) -> None:
 def _info(options: argparse.Namespace) -> None:
     from lieint_jax.app.command import info, study
 
-    show((study.info if study.is_study_file(options.path) else info.contents)(options.path))
+    is_study = study.is_study_file(options.path)
+    show(study.info(options.path) if is_study else info.describe(options.path, options.kind))
 
 
 def _plot(options: argparse.Namespace) -> None:
@@ -212,7 +213,9 @@ def _animate(options: argparse.Namespace) -> None:
     from lieint_jax.app.command.animate import animate
 
     span = (options.first, options.last)
-    animate(options.path, options.out, options.member, options.seconds, options.fps, options.force, span, options.shape)
+    named = ("out", "member", "seconds", "fps", "force")
+    given = {name: vars(options)[name] for name in named}
+    animate(options.path, **given, span=span, shapes=options.shape, own_kind=options.kind)
 
 
 def _schema(_: argparse.Namespace) -> None:

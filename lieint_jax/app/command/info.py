@@ -19,7 +19,7 @@ from lieint_jax.app.scenarios._kind import Kind
 from lieint_jax.app.scenarios._runs import POINTS, kinetic_energy, series
 from lieint_jax.runs import Run
 from lieint_jax.runs import store as archives
-from lieint_jax.runs.store import Address, UnreadableError, check_system, step_from_store
+from lieint_jax.runs.store import Address, UnknownNameError, UnreadableError, check_system, step_from_store
 from lieint_jax.types import Step, Trajectory, energy_less_work
 
 _SHOWN = 2**28  # largest number of bytes that are read from a store to draw it
@@ -27,7 +27,9 @@ _LINE = 400  # largest number of characters of a line with the numbers of parts
 _TIMES, _BLOCK = 17, 8192  # number of saved times at which energies are computed, and of members at once
 
 
-def plot(path: Address, out: Path | None = None, force: bool = False, own_kind: str = "") -> None:
+def plot(
+    path: Address, out: Path | None = None, force: bool = False, own_kind: str = "", own: Kind | None = None
+) -> None:
     """Report on a file of results and draw it: the pictures of its scenario, or those of a run of any system.
 
     The pictures of a scenario require states at evenly spaced steps; a run with `save_at` is drawn as any other run.
@@ -37,18 +39,20 @@ def plot(path: Address, out: Path | None = None, force: bool = False, own_kind: 
         out: the folder of the pictures; by default that of the file.
         force: replace existing pictures.
         own_kind: the kind of its scenario, FILE.py:CLASS, if it is a user's.
+        own: in place of `own_kind`, its scenario.
     """
     run, metadata = archives.load_results(path)
     if len(_times(run)) < 2:
         raise ValueError(f"{path} holds the initial states only: there is nothing to draw yet")
     plain = files.path_in_folder(path, out)
     kind = _table(metadata).get("system")
-    unknown = "description" in metadata and not (own_kind or kind is None or kind in scenarios.kind_names())
-    scenario = None if unknown else _scenario(path, metadata, own_kind)
+    own = own or own_scenario(path, metadata, own_kind)
+    unknown = "description" in metadata and not (own or kind is None or kind in scenarios.kind_names())
+    scenario = None if unknown else own or _scenario(path, metadata)
     if scenario and scenario.save_at is None and isinstance(run, Trajectory):
         drawn = _plot_scenario(scenario, run, path, plain, force)
     else:
-        drawn = _plot_any(path, run, metadata, plain, force)
+        drawn = _plot_any(path, run, metadata, plain, force, own)
     if unknown:  # a file of results does not choose what is imported
         kind = _checks.printable(kind)
         gone = "" if Path(kind.partition(":")[0]).is_file() else f" ({kind} is not here: give the place of its file)"
@@ -74,19 +78,21 @@ def _plot_scenario(scenario: Kind, run: Trajectory, path: Address, plain: Path, 
     return drawn
 
 
-def _plot_any(path: Address, run: Any, metadata: dict[str, Any], plain: Path, force: bool) -> list[Path]:
+def _plot_any(
+    path: Address, run: Any, metadata: dict[str, Any], plain: Path, force: bool, own: Kind | None
+) -> list[Path]:
     saved = isinstance(run, Trajectory)
     kinds: dict[str, Callable[..., Any]] = (
         pictures.drawing_functions(run.state) if saved else {"change": pictures.draw_change}
     )
     files.check_replaceable(files.pictures(plain, kinds), force)
     if saved:
-        title, select = title_and_states(path, run, metadata)
+        title, select = title_and_states(path, run, metadata, own)
         times = np.unique(np.linspace(0, len(run.t) - 1, min(len(run.t), POINTS)).astype(int))
         arguments = select(times, slice(_count_drawn(run))), title
     else:
         arguments = run, _title(path, metadata), _time_unit(metadata)
-    show(contents(path, run, metadata))
+    show(contents(path, run, metadata, own))
     return draw(plain, kinds, *arguments)
 
 
@@ -113,6 +119,15 @@ def _scenario(path: Address, metadata: dict[str, Any], own_kind: str = "") -> An
     return scenarios.from_results(table, str(path), own_kind) if "system" in table else None
 
 
+def own_scenario(path: Address, metadata: dict[str, Any], own_kind: str) -> Any:
+    """The scenario of results whose kind, FILE.py:CLASS, is a user's; None without a kind."""
+    if not own_kind:
+        return None
+    if (found := _scenario(path, metadata, own_kind)) is None:
+        raise ValueError(f"{path} holds no scenario: leave out --kind")
+    return found
+
+
 def _table(metadata: dict[str, Any]) -> dict[str, Any]:
     """The keys of the scenario of results; empty if there is no scenario, or other software wrote it."""
     table = metadata.get("scenario")
@@ -126,18 +141,22 @@ def _title(path: Address, metadata: dict[str, Any]) -> str:
     return f"{re.sub(r'(?<=[a-z])(?=[A-Z])', ' ', metadata['system']).capitalize()}, {path.name}"
 
 
-def title_and_states(path: Address, run: Trajectory, metadata: dict[str, Any]) -> tuple[str, Callable[..., Run]]:
+def title_and_states(
+    path: Address, run: Trajectory, metadata: dict[str, Any], own: Kind | None = None
+) -> tuple[str, Callable[..., Run]]:
     """The title of a run, and select(times, members), its saves of these indices as a `Run` in memory.
+
+    `own` is its scenario, if that is of a user's kind: the step is then made by it, not by the results.
 
     Raises:
         ValueError: the results hold neither a step nor a scenario that has one.
     """
-    scenario = None if "description" in metadata else _scenario(path, metadata)
+    scenario = own or (None if "description" in metadata else _scenario(path, metadata))
     if scenario:
         step, own_step = scenarios.build_first(scenario, run.state.p.shape[1]), scenario.has_own_steps()
         title = _checks.printable(scenario.title)
     elif "run" in metadata:
-        step, own_step = step_from_store(path, metadata), metadata["run"]["step_axis"] == 0
+        step, own_step = _stored_step(path, metadata), metadata["run"]["step_axis"] == 0
         title = _title(path, metadata)
     else:
         raise ValueError(f"{path} holds neither a scenario nor the parameters of its system")
@@ -153,14 +172,33 @@ def title_and_states(path: Address, run: Trajectory, metadata: dict[str, Any]) -
     return title, select
 
 
+def _stored_step(path: Address, metadata: dict[str, Any]) -> Step:
+    try:
+        return step_from_store(path, metadata)
+    except UnknownNameError as error:
+        kind = _table(metadata).get("system")
+        if kind is None or kind in scenarios.kind_names():
+            raise
+        raise ValueError(
+            f"{path}: the system has functions of the kind {_checks.printable(kind)}, and a store does not choose what "
+            "is imported: give --kind FILE.py:CLASS if it is yours"
+        ) from error
+
+
 def _time_unit(metadata: dict[str, Any]) -> str:
     """The unit of a run's times; empty if there is none."""
     unit = _checks.printable(metadata.get("time_unit") or _table(metadata).get("time_unit", ""))
     return "" if unit == "1" else unit
 
 
-def contents(path: Address, run: Any = None, metadata: Any = None) -> str:
-    """A description of a file of results, as text."""
+def describe(path: Address, own_kind: str) -> str:
+    """A description of a file of results as text, of whose scenario the kind may be a user's, FILE.py:CLASS."""
+    run, metadata = archives.load_results(path, thorough=True)
+    return contents(path, run, metadata, own_scenario(path, metadata, own_kind))
+
+
+def contents(path: Address, run: Any = None, metadata: Any = None, own: Kind | None = None) -> str:
+    """A description of a file of results, as text; `own` is its scenario, if that is of a user's kind."""
     if run is None:
         run, metadata = archives.load_results(path, thorough=True)
     title = metadata.get("title") or _table(metadata).get("title", str(path))
@@ -177,7 +215,7 @@ def contents(path: Address, run: Any = None, metadata: Any = None) -> str:
         lines.append("  energies are not computed: the run is incomplete")
     elif len(t) > 1:
         try:
-            lines += _conservation(run, title_and_states(path, run, metadata)[1])
+            lines += _conservation(run, title_and_states(path, run, metadata, own)[1])
         except UnreadableError:
             raise
         except ValueError as unknown:

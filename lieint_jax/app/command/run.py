@@ -120,7 +120,7 @@ def run(
         return
     own = {} if in_store else scenarios.members_numbers(scenario)
     if isinstance(out, Url) or in_store:
-        show(info.contents(out))
+        show(info.contents(out, own=_of_own_kind(scenario)))
     else:
         description = {"scenario": scenario.model_dump(), "lieint_jax": __version__, "jax": jax.__version__}
         archives.write_trajectory(out, run.trajectory, description, own)
@@ -130,7 +130,7 @@ def run(
         show_written(out, *exports, about=f"{files.megabytes(out)}; lieint plot {out} reports on it and draws it")
         return
     if scenario.save_at is not None:
-        _report_outputs(out, pictures)
+        _report_outputs(out, pictures, scenario)
         return
     doing = " and ".join(["drawing"] * pictures + ["certifying"] * certificate)
     show(f"  results in {out}{f'; {doing} …' if doing else ''}")
@@ -154,12 +154,18 @@ def _certify(scenario: Kind, run: runs.Run) -> None:
     show_time("the certificate")
 
 
-def _report_outputs(out: Path, pictures: bool) -> None:
+def _of_own_kind(scenario: Kind) -> Kind | None:
+    """The scenario, if its kind is a user's, which results do not name; else None."""
+    return None if scenario.system in scenarios.kind_names() else scenario
+
+
+def _report_outputs(out: Path, pictures: bool, scenario: Kind) -> None:
     """Report on a run with given output times; the report and pictures of its scenario require evenly spaced ones."""
+    own = _of_own_kind(scenario)
     if pictures:
-        info.plot(out)
+        info.plot(out, own=own)
     else:
-        show(info.contents(out))
+        show(info.contents(out, own=own))
         show_written(out, about=files.megabytes(out))
 
 

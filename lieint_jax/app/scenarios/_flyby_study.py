@@ -17,6 +17,7 @@ from lieint_jax.app.scenarios._body import longitude_latitude
 from lieint_jax.app.scenarios._flyby_motion import Outcome, Passage, Spin
 from lieint_jax.app.scenarios._keys import HOUR
 from lieint_jax.app.scenarios._kind import for_last_run, picture
+from lieint_jax.app.scenarios._pictures import draw_histogram
 from lieint_jax.app.scenarios._report import Quantity, paragraphs, table_lines
 from lieint_jax.app.scenarios._runs import angles
 from lieint_jax.groups import so3
@@ -388,14 +389,10 @@ def draw_after(scenario: Flyby, axes: np.ndarray, run: Run) -> None:
         ("rotation of the pole (°)", x.pole_angle, None),
     )
     for ax, (label, values, initial) in zip(axes, panels, strict=False):
-        top = np.quantile(values, 0.99)
-        bins = np.linspace(values.min(), top + 0.02 * np.ptp(values[values <= top]), 50)
-        parts = [values[~after.long_axis], values[after.long_axis]]
-        ax.hist(parts, bins, stacked=True, color=[plots.BLUE, plots.RED], label=["short-axis mode", "long-axis mode"])
-        if initial is not None:
-            ax.axvline(initial, color=plots.INK, ls="--", lw=1.0, label="before (nominal)")
-        ax.set(xlabel=label, ylabel="members")
-    axes[0].legend()
+        parts = {"short-axis mode": values[~after.long_axis], "long-axis mode": values[after.long_axis]}
+        draw_histogram(ax, parts, label, {} if initial is None else {"before (nominal)": initial}, shown=0.99)
+    for ax in axes[1:5]:
+        ax.get_legend().remove()
     fig = axes[0].figure
     axes[5].remove()
     _draw_poles(fig.add_subplot(2, 3, 6, projection="polar"), before, after)
@@ -409,7 +406,8 @@ def _draw_poles(ax: Any, before: Outcome, after: Outcome) -> None:
     side = np.sign(before.pole[0, 2]) or 1.0
     for outcome, color, label in ((before, plots.GREEN, "before"), (after, plots.WINE, "after")):
         longitude, latitude = np.asarray(longitude_latitude(outcome.pole)).T
-        ax.scatter(np.deg2rad(longitude), 90 - side * latitude, s=1.0, lw=0, color=color, alpha=0.35, rasterized=True)
+        size = np.clip(4000 / len(longitude), 1.0, 10.0)
+        ax.scatter(np.deg2rad(longitude), 90 - side * latitude, s=size, lw=0, color=color, alpha=0.35, rasterized=True)
         ax.plot([], [], "o", ms=4, color=color, label=label)
     far = 90 - side * np.asarray(longitude_latitude(np.concatenate([before.pole, after.pole])))[:, 1]
     ax.set_rlim(0, 10 * np.ceil(np.quantile(far, 0.999) / 10))

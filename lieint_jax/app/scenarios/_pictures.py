@@ -15,6 +15,8 @@ from lieint_jax.runs import Run
 from lieint_jax.types import Step
 
 _SHAPES = 13  # of a chain in a picture
+_PARTS = [plots.BLUE, plots.RED, plots.GREEN, plots.WINE]  # colors
+_BINS = 50  # largest number of a histogram
 _FEW = 20  # members whose lines are drawn as clearly as those of others
 
 
@@ -62,6 +64,45 @@ def draw_changes(ax: Any, t: np.ndarray, conserved: Sequence[Conserved], unit: s
     """Plot the largest relative change over the members of each conserved quantity along a run."""
     errors = {x.name.partition(",")[0]: x.change().max(axis=1) for x in conserved}
     plots.log_error(ax, t, errors, "relative change, worst member", unit)
+
+
+def draw_paths(ax: Any, paths: Mapping[str, np.ndarray]) -> None:
+    """Plot at most five paths of points (n, 3) by label: in space on a panel of three axes, else over x and y."""
+    if ax.name != "3d":
+        plots.paths(ax, paths).legend()
+        return
+    for (name, x), color in zip(paths.items(), (plots.INK, *_PARTS), strict=False):
+        ax.plot(*np.asarray(x).T, color=color, lw=0.8, label=name)
+    ax.legend(loc="upper center", bbox_to_anchor=(0.5, -0.03), ncols=2)
+    plots.cube(ax).set(xlabel="x", ylabel="y", zlabel="z")
+
+
+def draw_histogram(
+    ax: Any, parts: Mapping[str, np.ndarray], label: str, marks: Mapping[str, float] | None = None, shown: float = 1.0
+) -> None:
+    """Plot how a number of each member is distributed; members without a value (NaN) are counted in the label.
+
+    Args:
+        ax: the axes.
+        parts: values of members (m,), stacked, by at most four labels; "" for all members.
+        label: of the number, with its unit.
+        marks: values to mark by their labels, such as the nominal or a published one.
+        shown: the share of the members that is shown, from the lowest value on, without the tail.
+    """
+    every = np.concatenate(list(parts.values()))
+    values = every[np.isfinite(every)]
+    if len(values):
+        low_part = values[values <= np.quantile(values, shown)]
+        bins = np.histogram_bin_edges(low_part, min(_BINS, 5 + int(np.sqrt(len(values)))))
+        finite = [x[np.isfinite(x)] for x in parts.values()]
+        ax.hist(finite, bins, stacked=True, color=_PARTS[: len(parts)], label=list(parts))
+    for (name, x), style in zip((marks or {}).items(), ("--", ":", "-."), strict=False):
+        ax.axvline(x, color=plots.INK, ls=style, lw=1.0, label=name)
+    none = len(every) - len(values)
+    ax.set(xlabel=f"{label}; {none} of {len(every)} have none" if none else label, ylabel="members")
+    ax.yaxis.get_major_locator().set_params(integer=True)
+    if marks or any(parts):
+        ax.legend()
 
 
 def draw_balance(

@@ -352,13 +352,32 @@ def build(scenario: Any, noise: PyTree) -> tuple[Step, State]:
     else:
         count = range(scenario.members)
         each = [member(_numbers_of(own, m), jax.tree.map(lambda x, m=m: x[m], noise)) for m in count]
+        if len({jax.tree.structure(one) for one in each}) > 1:
+            raise ValueError(_closed_over(scenario))
         members = jax.tree.map(lambda *x: jnp.stack(x), *each)
     leaves, structure = jax.tree.flatten(members)
     # without a spread, since a compiled program rounds differently
-    first = jax.tree.leaves((nominal, scenario.start(nominal.system, nominal_member(noise))))
+    first, structure_of_first = jax.tree.flatten((nominal, scenario.start(nominal.system, nominal_member(noise))))
+    if structure != structure_of_first:
+        _check_functions(scenario, *members)
     exact = [jnp.asarray(x).at[0].set(x0) for x, x0 in zip(leaves, first, strict=True)]
     step, states = jax.tree.unflatten(structure, exact)
     return step, _with_shared_time(states)
+
+
+def _check_functions(scenario: Any, step: Step, states: State) -> None:
+    """Raise ValueError if a function of the members' systems uses a traced number by itself, so that it cannot run."""
+    try:
+        jax.eval_shape(jax.vmap(lambda step, state: step(state, scenario.dt)), step, states)
+    except jax.errors.UnexpectedTracerError as error:
+        raise ValueError(_closed_over(scenario)) from error
+
+
+def _closed_over(scenario: Any) -> str:
+    return (
+        f"a function that make_system or start of {type(scenario).__name__} defines must not itself use numbers that "
+        "[spread] names: define it outside of the class, and pass them by jax.tree_util.Partial(function, number)"
+    )
 
 
 def _with_shared_time(states: State) -> State:

@@ -13,7 +13,7 @@ from lieint_jax._numerics import random_bits
 from lieint_jax.app import plots
 from lieint_jax.app.scenarios import _keys as keys
 from lieint_jax.app.scenarios._kind import Kind, picture, quantity
-from lieint_jax.app.scenarios._pictures import draw_errors, draw_members
+from lieint_jax.app.scenarios._pictures import draw_errors, draw_members, draw_paths
 from lieint_jax.app.scenarios._report import Conserved
 from lieint_jax.app.scenarios._runs import length, nominal_state, nominal_system, positive, series
 from lieint_jax.diagnostics import RungeKutta
@@ -115,10 +115,7 @@ class Kirchhoff(Kind):
         last = f"member {self.members - 1}" if self.members > 1 else "nominal member"
         members = {"nominal member": run.member(0), last: run.member(-1)}
         paths = {name: self.drawn(one).state.q for name, one in members.items()}
-        for (name, q), color in zip(paths.items(), (plots.INK, plots.BLUE), strict=False):
-            left.plot(*q[:, :3, 3].T, color=color, lw=0.8, label=name)
-        left.legend(loc="upper center", bbox_to_anchor=(0.5, -0.03), ncols=2)
-        plots.cube(left).set(xlabel="x", ylabel="y", zlabel="z")
+        draw_paths(left, {name: q[:, :3, 3] for name, q in paths.items()})
         left.set_title(f"path of the center to t = {run.t[-1]:.4g} {self.time_unit}, in the unit of the semi-axes")
         q, P = np.asarray(paths[last]), np.asarray(run.state.p[0, -1, 3:])
         pole = P / np.linalg.norm(P) if P.any() else None

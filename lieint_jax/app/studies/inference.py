@@ -143,6 +143,6 @@ def _draw_estimate(ax: Axes, found: Inference) -> None:
         mark = "D" if abs(x) < _EDGE else ">" if x > 0 else "<"
         ax.errorbar(np.clip(x, -_EDGE, _EDGE), y[k], xerr=size, fmt=mark, ms=4, color=plots.RED)
     each = ((name, *_digits(x, s)) for name, x, s in zip(found.names, e.values, e.sigmas, strict=True))
-    ax.set_yticks(y, [f"{name}\n{x} ± {s}" for name, x, s in each], fontsize="x-small")
+    ax.set_yticks(y, [f"{name}\n{x.replace('-', '−')} ± {s}" for name, x, s in each], fontsize="x-small")
     label = "(from synthetic data, or published − fitted)/σ"
     ax.set(xlabel=label, xlim=(-_EDGE, _EDGE), title="the estimate, and tests of its errors")

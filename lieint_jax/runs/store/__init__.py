@@ -4,6 +4,7 @@ The application reads its files through these names. A file that cannot be read 
 whose message is one sentence that names the file.
 """
 
+from lieint_jax.runs.store._description import UnknownNameError
 from lieint_jax.runs.store._files import open_storage
 from lieint_jax.runs.store._open_archive import open_archive, write_archive, write_trajectory
 from lieint_jax.runs.store._reading import check_system, load_results, load_store, open_run, step_from_store
@@ -14,6 +15,7 @@ __all__ = [
     "SUFFIXES",
     "Address",
     "StoreOptions",
+    "UnknownNameError",
     "UnreadableError",
     "Url",
     "address",
