@@ -67,7 +67,7 @@ class UniformClock(NamedTuple):
             return self.t0 + _times(n, self.dt)
         return self.t0 + _times(n, self.coarse) + _times(n, self.dt - self.coarse)
 
-    def node(self, t: Array, num_steps: int) -> Array:
+    def node(self, t: Array, num_steps: ArrayLike) -> Array:
         """The last node that is not after the time t."""
         assert self.t0 is not None
         n = lax.stop_gradient((t - self.t0) / self.dt)
@@ -93,7 +93,7 @@ class GridClock(NamedTuple):
         """The time of node n."""
         return self.times[n]
 
-    def node(self, t: Array, num_steps: int) -> Array:
+    def node(self, t: Array, num_steps: ArrayLike) -> Array:
         """The last node that is not after the time t."""
         sign = jnp.where(self.times[-1] < self.times[0], -1, 1)
         after = jnp.searchsorted(sign * self.times, sign * t, side="right")

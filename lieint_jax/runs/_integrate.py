@@ -5,7 +5,7 @@ from __future__ import annotations
 import abc
 import math
 from functools import partial
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -246,7 +246,8 @@ def _at_any_times(step: Step, state: State, clock: Clock, save_at: Array, num_st
     if not rows or not _checks.stands_alone(step, state, clock, save_at):
         return None
     room = clock.with_room() if isinstance(clock, GridClock) else clock
-    found = _at_times(step, state, room, np.resize(save_at, rows), np.int32(num_steps), np.int32(save_at.size))
+    wanted: tuple[Any, ...] = np.resize(save_at, rows), np.int32(num_steps), np.int32(save_at.size)
+    found = _at_times(step, state, room, *wanted)
     run = _on_host(found, save_at.size)
     return None if run is None else jax.device_put(run)
 
