@@ -99,6 +99,11 @@ def staged() -> bool:
     return not outermost() and not concrete(jax.device_put(np.float32(0)))
 
 
+def stands_alone(*trees: object) -> bool:
+    """True if a call with these arguments is not part of another function, such as one under jit, vmap or grad."""
+    return concrete(trees) and not staged()
+
+
 def at_once() -> contextlib.AbstractContextManager[None]:
     """A context in which operations on concrete values are computed immediately, inside jit too.
 

@@ -18,7 +18,7 @@ from lieint_jax._xla import compiled
 from lieint_jax.adjoints._reversible import Derivative, checked
 from lieint_jax.adjoints._undo import undoable
 from lieint_jax.runs import (
-    MOST_TO_OUTPUTS,
+    MOST_COUNTED,
     Reached,
     UniformClock,
     at_output_times,
@@ -82,7 +82,7 @@ def observe(
     if known:
         refuse_far_times("times", np.max(ratio, initial=0), t0)
     # False for traced times on the wrong side of the start, or too far
-    reached = xp.logical_and(ratio >= -1e-9, ratio < MOST_TO_OUTPUTS)
+    reached = xp.logical_and(ratio >= -1e-9, ratio < MOST_COUNTED)
     ratio, rounding = xp.where(reached, ratio, 0), 4 * float(jnp.finfo(h.dtype).eps)
     nearest = xp.round(ratio)
     at_node = xp.abs(ratio - nearest) <= rounding * (1 + xp.abs(ratio))

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable
-from typing import Any, NamedTuple
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Any, NamedTuple, overload
 
 import jax
 
@@ -43,8 +44,9 @@ class LoopReport(NamedTuple):
     seconds: dict[str, float]
 
 
-class Explanation(NamedTuple):
-    """The loops of a function, and the seconds until its first result. `print` shows a table.
+@dataclass(frozen=True)
+class Explanation(Sequence[LoopReport]):
+    """The loops of a function, a sequence of them, and the seconds until its first result. `print` shows a table.
 
     Attributes:
         loops: the loops in machine code or by `march`, in order, each different one once.
@@ -60,6 +62,16 @@ class Explanation(NamedTuple):
     def engines(self) -> set[str]:
         """The engines of the loops: {"native"} if all of them are machine code."""
         return {loop.engine for loop in self.loops} | ({"xla"} if self.others else set())
+
+    @overload
+    def __getitem__(self, k: int) -> LoopReport: ...
+    @overload
+    def __getitem__(self, k: slice) -> tuple[LoopReport, ...]: ...
+    def __getitem__(self, k: int | slice) -> LoopReport | tuple[LoopReport, ...]:
+        return self.loops[k]
+
+    def __len__(self) -> int:
+        return len(self.loops)
 
     def __str__(self) -> str:
         lines = [f"trace {self.seconds['trace']:.2f} s, XLA {self.seconds['xla']:.2f} s"]
@@ -89,7 +101,7 @@ def explain(f: Callable[..., Any], *args: Any) -> Explanation:
         >>> def run(x):
         ...     return li.scan(lambda x, _: (3.2 * x * (1 - x), None), x, length=100)[0]
         >>> found = li.explain(jax.vmap(run), jax.ShapeDtypeStruct((1000,), "float32"))
-        >>> [(loop.kind, loop.steps, loop.members, loop.operations) for loop in found.loops]
+        >>> [(loop.kind, loop.steps, loop.members, loop.operations) for loop in found]
         [('values', 100, 1000, 3)]
     """
     begin = time.perf_counter()

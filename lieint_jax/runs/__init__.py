@@ -6,7 +6,7 @@ disk, and `processes` are those of a run on several machines.
 
 from lieint_jax.runs import processes, store
 from lieint_jax.runs._clock import (
-    MOST_TO_OUTPUTS,
+    MOST_COUNTED,
     Clock,
     GridClock,
     UniformClock,
@@ -54,7 +54,7 @@ from lieint_jax.runs._run import Run
 from lieint_jax.runs._submit import Executor, submit
 
 __all__ = [
-    "MOST_TO_OUTPUTS",
+    "MOST_COUNTED",
     "Adjoint",
     "Clock",
     "Event",

@@ -67,7 +67,7 @@ class UniformClock(NamedTuple):
             return self.t0 + _times(n, self.dt)
         return self.t0 + _times(n, self.coarse) + _times(n, self.dt - self.coarse)
 
-    def node(self, t: Array, num_steps: int) -> Array:
+    def node(self, t: Array, num_steps: ArrayLike) -> Array:
         """The last node that is not after the time t."""
         assert self.t0 is not None
         n = lax.stop_gradient((t - self.t0) / self.dt)
@@ -93,15 +93,20 @@ class GridClock(NamedTuple):
         """The time of node n."""
         return self.times[n]
 
-    def node(self, t: Array, num_steps: int) -> Array:
+    def node(self, t: Array, num_steps: ArrayLike) -> Array:
         """The last node that is not after the time t."""
         sign = jnp.where(self.times[-1] < self.times[0], -1, 1)
         after = jnp.searchsorted(sign * self.times, sign * t, side="right")
         return jnp.clip(after - 1, 0, num_steps)
 
+    def with_room(self) -> GridClock:
+        """The clock with a power of 4 of times, so that runs share programs: copies of the last follow."""
+        missing = 4 ** max(4, math.ceil(math.log(len(self.times), 4))) - len(self.times)
+        return GridClock(np.pad(np.asarray(self.times), (0, missing), "edge"))  # pyright: ignore[reportArgumentType]
+
 
 Clock = UniformClock | GridClock
-MOST_TO_OUTPUTS = np.iinfo(np.int32).max  # fewer steps may lead to output times
+MOST_COUNTED = np.iinfo(np.int32).max  # steps of a loop whose number of steps is an argument, or to output times
 _HALVINGS = 20  # the most that `more_times` tries
 
 
@@ -147,6 +152,11 @@ def intervals(num_steps: int, save_every: int | None) -> tuple[int, int]:
     num_steps = _checks.count("num_steps", num_steps, 0)
     save_every = max(num_steps, 1) if save_every is None else _checks.count("save_every", save_every, 1)
     return save_every, saves(num_steps, save_every)
+
+
+def power_of_two(rows: int) -> int:
+    """The rows for which a program has room: the least power of two, or 2, so that runs share programs."""
+    return 1 << max(1, (rows - 1).bit_length())
 
 
 def saves(num_steps: int, save_every: int) -> int:
@@ -227,9 +237,9 @@ def outputs(save_at: npt.ArrayLike, clock: Clock, num_steps: int, dtype: Any) ->
 
 def refuse_far_times(name: str, steps: float, start: ArrayLike) -> None:
     """ValueError if more steps lead to output times than a run can count."""
-    if steps >= MOST_TO_OUTPUTS:
+    if steps >= MOST_COUNTED:
         raise ValueError(
-            f"{name}: {steps:.3g} steps lead there from the start, and {MOST_TO_OUTPUTS} are too many. Times "
+            f"{name}: {steps:.3g} steps lead there from the start, and {MOST_COUNTED} are too many. Times "
             f"count from t = {start}, that of the state, or 0 if it has none: make the state at their epoch, "
             "system.state(..., t=…), or subtract the epoch from them; otherwise give a larger dt, or several runs"
         )

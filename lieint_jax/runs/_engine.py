@@ -17,8 +17,8 @@ from jax.sharding import Mesh
 from lieint_jax import native
 from lieint_jax.native import UnsupportedError, computed_by, unsupported_if_it_fails, warn_once
 from lieint_jax.runs import _layout, _loop
-from lieint_jax.runs._clock import GridClock
-from lieint_jax.runs._job import Job, power_of_two
+from lieint_jax.runs._clock import GridClock, power_of_two
+from lieint_jax.runs._job import Job
 from lieint_jax.runs._layout import Layout, Numbers, Tree
 from lieint_jax.runs._loop import Axes, Carry, Given, Intervals, Reduction, Span
 from lieint_jax.types import State, Step

@@ -7,7 +7,6 @@ g(y(τ)) = 0 between 0 and Δt, enclosed to round-off, and its derivatives are t
 from __future__ import annotations
 
 from collections.abc import Callable
-from functools import partial
 from typing import Literal, NamedTuple
 
 import jax
@@ -17,10 +16,10 @@ from jax import Array, lax
 from jax.typing import ArrayLike
 
 from lieint_jax import _checks
-from lieint_jax._checks import concrete
+from lieint_jax._checks import concrete, stands_alone
 from lieint_jax._numerics.sign_change import is_root, sign_change
 from lieint_jax._xla import compiled
-from lieint_jax.runs._clock import Clock, at_time, clock_of, halved, splits
+from lieint_jax.runs._clock import MOST_COUNTED, Clock, at_time, clock_of, halved, splits
 from lieint_jax.runs._driver import Reached, at_start, counted, prepared, reported, scanned
 from lieint_jax.types import State, Step, callable_pytree, checked_step, promoted, start_time
 from lieint_jax.types import clock as time_of
@@ -109,7 +108,12 @@ def events(
     clock, _ = clock_of(step, state, dtype, dt, max_steps, None)
     if (parts := splits(step)) > 1:
         clock, max_steps = halved(clock), parts * max_steps
-    return _events(step, state, clock, callable_pytree(condition), (max_steps, count, direction))
+    given = step, state, clock, callable_pytree(condition)
+    if count <= _FEW and max_steps <= MOST_COUNTED and stands_alone(given):
+        found = _of_any_length(*given, np.int32(max_steps), (count, direction))
+        if concrete(found):  # else the condition closes over a tracer
+            return found
+    return _of_known_length(*given, max_steps, (count, direction))
 
 
 class _Bracket(NamedTuple):
@@ -146,9 +150,11 @@ class _Search(NamedTuple):
     buffer: _Bracket
 
 
-@partial(compiled, static_argnums=4)
-def _events(step: Step, state: State, clock: Clock, condition: _Condition, wanted: tuple[int, int, int]) -> Event:
-    brackets = _brackets(step, state, clock, condition, wanted)
+def _events(
+    step: Step, state: State, clock: Clock, condition: _Condition, max_steps: ArrayLike, wanted: tuple[int, int]
+) -> Event:
+    """The events; those of a traced `max_steps` have no derivative in reverse mode."""
+    brackets = _brackets(step, state, clock, condition, max_steps, wanted)
 
     def locate(bracket: _Bracket) -> Event:
         size = clock.size(bracket.n)
@@ -166,12 +172,18 @@ def _events(step: Step, state: State, clock: Clock, condition: _Condition, wante
     return jax.vmap(locate)(brackets)
 
 
-def _brackets(step: Step, state: State, clock: Clock, condition: _Condition, wanted: tuple[int, int, int]) -> _Bracket:
+_of_known_length = compiled(_events, static_argnums=(4, 5))
+_of_any_length = compiled(_events, static_argnums=5)
+
+
+def _brackets(
+    step: Step, state: State, clock: Clock, condition: _Condition, max_steps: ArrayLike, wanted: tuple[int, int]
+) -> _Bracket:
     """The first changes of sign; missing ones are filled with the last state.
 
-    `wanted` is (number of steps, of changes, direction of the changes).
+    `wanted` is (number of changes, their direction).
     """
-    max_steps, count, direction = wanted
+    count, direction = wanted
     step_once = reported(prepared(step, state, clock), clock)
     start = condition(state)
     none = _Bracket(state, jnp.zeros((), int), jnp.stack([start, start]), jnp.zeros_like(start), jnp.zeros((), bool))
@@ -190,9 +202,12 @@ def _brackets(step: Step, state: State, clock: Clock, condition: _Condition, wan
         sign = jnp.where(side * side > 0, side, sign)  # a zero or NaN changes nothing
         return (after, info), _Search(new, sign, jnp.where(changes, number + 1, number), buffer)
 
-    repeat = counted if count <= _FEW else scanned
-    search = _Search(start, jnp.sign(start), none.n, buffer)
-    (end, _), search = repeat(step_and_look, 0, max_steps, (at_start(state), search))
+    search = at_start(state), _Search(start, jnp.sign(start), none.n, buffer)
+    if count <= _FEW:
+        (end, _), search = counted(step_and_look, 0, max_steps, search)
+    else:
+        assert isinstance(max_steps, int)
+        (end, _), search = scanned(step_and_look, 0, max_steps, search)
     there = jnp.arange(count) < search.number
     last = none._replace(state=end, n=none.n + max_steps)
     return jax.tree.map(lambda x, y: jnp.where(there.reshape(-1, *[1] * y.ndim), x, y), search.buffer, last)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import abc
 import math
 from functools import partial
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -17,6 +17,7 @@ from jax.typing import ArrayLike
 from lieint_jax import _checks, native
 from lieint_jax._xla import compiled
 from lieint_jax.runs._clock import (
+    MOST_COUNTED,
     Clock,
     GridClock,
     clock_of,
@@ -30,7 +31,6 @@ from lieint_jax.runs._clock import (
 )
 from lieint_jax.runs._driver import Reached, at_start, prepared, saved_states
 from lieint_jax.types import State, Step, StepError, StepInfo, Trajectory, checked_step, promoted, start_time
-from lieint_jax.types.shapes import PyTree
 
 _LEAST_BYTES, _MOST_BYTES = 2**20, 2**26  # of the saved states that the loop of a run is compiled for
 _SHORT = 256  # runs up to this length are computed before their first step is checked
@@ -63,8 +63,8 @@ def integrate(
 
     It can be jitted, vmapped over states, and differentiated in forward and reverse mode. On a CPU it is machine code,
     and so are its derivatives; the page "Your own loop in machine code" has the exceptions. A call outside of jit on a
-    CPU is compiled once per structure of the step, whatever the numbers in the step and `save_every`, for up to 4096
-    saved states of one body; again for up to 16384, and so on; and for each number of `times`.
+    CPU is compiled once per structure of the step, whatever the numbers in the step, of steps and in `save_every`, for
+    up to 4096 saved states of one body; again for up to 16384, and so on. `times` are compiled for up to 256, 1024, ….
 
     The state at an output time between two steps comes from a shorter step from the last node before. So it has every
     invariant of the step, and its error is that of the trajectory plus one of higher order, that of a single step. The
@@ -125,6 +125,9 @@ def integrate(
     refuse_far_times("save_at", num_steps, clock.time(0))
     _check_first(step, state, clock, first)
     _check_size(state, wanted.size + 1)
+    run = _at_any_times(step, state, clock, wanted, num_steps)
+    if run is not None:
+        return run
     later = at_output_times(step, state, clock, wanted, num_steps)
     return join_start(state, later, jnp.concatenate([clock.time(0)[None], wanted]))
 
@@ -147,7 +150,7 @@ def _after_every(
         return join_start(state, later, clock.time(save_every * jnp.arange(num_saves + 1)))
     rows, is_short = rows_for(state, num_saves), num_steps <= _SHORT or isinstance(clock, GridClock)
     run = None
-    if rows and num_steps and not step.approximate and _stands_alone(step, state, clock):
+    if rows and num_steps and not step.approximate and _checks.stands_alone(step, state, clock):
         step.system.check(state)
         tried = (num_saves, rows, save_every) if is_short else (1, rows, 1)  # the whole run, or its first step
         run = of_any_length(step, state, clock, *tried)
@@ -175,11 +178,6 @@ def _check_first(step: Step, state: State, clock: Clock, size: ArrayLike) -> Non
         raise StepError(f"{failed}{more}") from None
 
 
-def _stands_alone(*arguments: PyTree) -> bool:
-    """Whether a call with these arguments is not part of another function."""
-    return _checks.concrete(arguments) and not _checks.staged()
-
-
 def rows_for(state: State, num_saves: int) -> int:
     """For how many saved states the loop of a run is compiled, a power of 4; 0 on a GPU, and where it wastes memory."""
     if jax.default_backend() != "cpu":
@@ -196,15 +194,18 @@ def of_any_length(
 ) -> Trajectory | None:
     """The trajectory with `num_saves` saved states after the first, on the host, by one program for all up to `most`.
 
-    None unless all is concrete: a loop of unknown length has no derivative in reverse mode.
+    None unless all is concrete, as a loop of unknown length has no derivative in reverse mode, and for more steps from
+    one saved state to the next than such a loop counts.
     """
-    if not _stands_alone(step, state, clock):
+    if save_every > MOST_COUNTED or not _checks.stands_alone(step, state, clock):
         return None
-    if isinstance(clock, GridClock):  # its nodes are rows of the loop, which has their number
-        found = trajectory(step, state, clock, num_saves, save_every)
-    else:
-        found = _padded_trajectory(step, state, clock, num_saves, save_every, most)
-    if not _checks.concrete(found):  # a function of the step closes over a tracer
+    room = clock.with_room() if isinstance(clock, GridClock) else clock
+    return _on_host(_padded_trajectory(step, state, room, num_saves, save_every, most), num_saves)
+
+
+def _on_host(found: Trajectory, num_saves: int) -> Trajectory | None:
+    """The first entries of a trajectory on the host; None if a function of the step closes over a tracer."""
+    if not _checks.concrete(found):
         return None
     return jax.tree.map(lambda x: np.asarray(x)[: num_saves + 1], found)
 
@@ -237,6 +238,49 @@ def join_start(state: State, later: Reached, t: Array | None) -> Trajectory:
     times = t if states.t is None else states.t
     assert times is not None  # a state or a clock has the time
     return Trajectory(times, states, info)
+
+
+def _at_any_times(step: Step, state: State, clock: Clock, save_at: Array, num_steps: int) -> Trajectory | None:
+    """The trajectory at output times, by one program for all numbers of times and steps; None as in `of_any_length`."""
+    rows = rows_for(state, save_at.size)
+    if not rows or not _checks.stands_alone(step, state, clock, save_at):
+        return None
+    room = clock.with_room() if isinstance(clock, GridClock) else clock
+    wanted: tuple[Any, ...] = np.resize(save_at, rows), np.int32(num_steps), np.int32(save_at.size)
+    found = _at_times(step, state, room, *wanted)
+    run = _on_host(found, save_at.size)
+    return None if run is None else jax.device_put(run)
+
+
+class _Gap(NamedTuple):
+    """What leads to an output: the nodes where it begins and ends, and the size of the shorter step from there."""
+
+    first: Array
+    node: Array
+    rest: Array
+
+
+@compiled
+def _at_times(step: Step, state: State, clock: Clock, save_at: Array, num_steps: Array, count: Array) -> Trajectory:
+    """The trajectory at the first `count` of these output times in order; the entries after these are undefined."""
+    nodes = lax.cummax(clock.node(save_at, num_steps))
+    gaps = _Gap(jnp.concatenate([jnp.zeros(1, nodes.dtype), nodes[:-1]]), nodes, save_at - clock.time(nodes))
+    whole, has_time = prepared(step, state, clock), state.t is not None
+
+    def advanced(step: Step, n: Array, size: Array, at: Reached) -> Reached:
+        end, info = step(at[0]._replace(t=clock.time(n) if has_time else None), size)
+        return end._replace(t=None), at[1].merge(info)
+
+    def to_output(_: Array, here: State, gap: _Gap) -> tuple[State, Reached]:
+        def step_once(n: Array, at: Reached) -> Reached:
+            return advanced(whole, n, clock.size(n), at)
+
+        node = lax.fori_loop(gap.first, gap.node, step_once, at_start(here))
+        return node[0], advanced(step, gap.node, gap.rest, node)
+
+    start = state._replace(t=None)
+    later = native.march(to_output, start, gaps, rows=count, most=len(save_at))[1]
+    return join_start(state, later, jnp.concatenate([clock.time(0)[None], save_at]))
 
 
 class _Entry(NamedTuple):

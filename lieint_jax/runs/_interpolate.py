@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from functools import partial
-from typing import Any
+from typing import Any, NamedTuple, TypeVar
 
 import jax
 import jax.numpy as jnp
@@ -16,8 +16,12 @@ from numpy.typing import ArrayLike
 from lieint_jax import _checks
 from lieint_jax._checks import concrete
 from lieint_jax._xla import compiled
+from lieint_jax.runs._clock import power_of_two
 from lieint_jax.types import State, System, Trajectory, time_derivative
 from lieint_jax.types.members import axes
+
+_T = TypeVar("_T")
+_FEW = 64  # times in a trajectory of one body, which cost less than to compile again
 
 
 def interpolate(system: System, trajectory: Trajectory, times: ArrayLike) -> State:
@@ -49,9 +53,9 @@ def interpolate(system: System, trajectory: Trajectory, times: ArrayLike) -> Sta
             "Trajectory(run.t, *jax.tree.map(lambda x: x[:, k], (run.state, run.info))), and the system of member k"
         )
     system.check(jax.tree.map(lambda x: x[0], trajectory.state))
-    trajectory, wanted = _checked(trajectory, times)
-    found, gaps = _states_and_gaps(system, trajectory, wanted)
-    _refuse_gaps(gaps, wanted)
+    pairs = _pairs(trajectory, times)
+    found, gaps = _of_any_number(_between_saves, system, pairs, _FEW)
+    _refuse_gaps(gaps, pairs.time)
     return found
 
 
@@ -64,37 +68,63 @@ def interpolate_members(system: System, trajectory: Trajectory, times: ArrayLike
         times: as in `interpolate`; since the start, if the members start at different times.
         system_axis: None or 0.
     """
-    trajectory, wanted = _checked(trajectory, times)
-    found, gaps = _of_members(system, trajectory, wanted, system_axis)
-    _refuse_gaps(jnp.nanmax(gaps, axis=1), wanted)
+    pairs = _pairs(trajectory, times)
+    found, gaps = _of_any_number(partial(_of_members, system_axis), system, pairs)
+    _refuse_gaps(gaps, pairs.time)
     return found
 
 
-@partial(compiled, static_argnums=3)
-def _of_members(system: System, trajectory: Trajectory, times: Array, system_axis: int | None) -> tuple[State, Array]:
-    axes = (system_axis, Trajectory(None, 1, 1), None)  # pyright: ignore[reportArgumentType]
-    return jax.vmap(_states_and_gaps, axes, 1)(system, trajectory, times)
+class _Pair(NamedTuple):
+    """Two neighboring saved states of a trajectory, each with its time, and a time, whether `inside` of it or not."""
+
+    states: tuple[State, State]
+    times: tuple[Array, Array]
+    time: Array
+    inside: Array
 
 
-def _checked(trajectory: Trajectory, times: ArrayLike) -> tuple[Trajectory, Array]:
-    """The trajectory with a checked array of its times, and the wanted times."""
-    t = jnp.asarray(trajectory.t)
-    wanted = _checks.real_array("times", times).astype(t.dtype)
+def _pairs(trajectory: Trajectory, times: ArrayLike) -> _Pair:
+    """Those about each of these times, which are checked, every leaf with a leading axis."""
+    wanted = _checks.real_array("times", times)
+    xp: Any = np if concrete(trajectory.t, wanted) else jnp  # numpy compiles nothing
+    t = xp.asarray(trajectory.t)
+    wanted = xp.asarray(wanted).astype(t.dtype)
     if wanted.ndim != 1:
         raise ValueError(f"times must have shape (m,), got {wanted.shape}")
     if t.ndim != 1 or len(t) < 2:
         raise ValueError(f"a trajectory of two entries or more is needed, got times of shape {t.shape}")
-    if concrete(wanted, t):
-        first, last = min(float(t[0]), float(t[-1])), max(float(t[0]), float(t[-1]))
-        if wanted.size and not first <= float(wanted.min()) <= float(wanted.max()) <= last:
-            raise ValueError(f"times must lie in the trajectory, from {first} to {last}, got {wanted}")
-    return trajectory._replace(t=t, state=jax.tree.map(jnp.asarray, trajectory.state)), wanted
+    sign = xp.where(t[-1] < t[0], -1, 1)
+    inside = (sign * t[0] <= sign * wanted) & (sign * wanted <= sign * t[-1])
+    if concrete(inside) and not np.all(np.asarray(inside)):
+        first, last = sorted(np.asarray(t, float)[[0, -1]].tolist())
+        raise ValueError(f"times must lie in the trajectory, from {first} to {last}, got {wanted}")
+    left = xp.clip(xp.searchsorted(sign * t, sign * wanted, side="right") - 1, 0, len(t) - 2)
+    states = jax.tree.map((np if concrete(trajectory, wanted) else jnp).asarray, trajectory.state)
+    before, after = (jax.tree.map(lambda x: x[left + k], states) for k in (0, 1))  # noqa: B023
+    return _Pair((before, after), (t[left], t[left + 1]), wanted, inside)
+
+
+def _of_any_number(function: Callable[[System, _Pair], _T], system: System, pairs: _Pair, least: int = 2) -> _T:
+    """The function of the pairs; for concrete ones, of any number up to `least`, or to a power of 2, by one program."""
+    count = len(pairs.time)
+    if not count or not _checks.stands_alone(system, pairs):
+        return function(system, pairs)
+    room = max(least, power_of_two(count))
+    found = function(system, jax.tree.map(lambda x: np.resize(x, (room, *x.shape[1:])), pairs))
+    return jax.device_put(jax.tree.map(lambda x: np.asarray(x)[:count], found))
+
+
+@partial(compiled, static_argnums=0)
+def _of_members(system_axis: int | None, system: System, pairs: _Pair) -> tuple[State, Array]:
+    axes = system_axis, _Pair(1, None, None, None)  # pyright: ignore[reportArgumentType]
+    return jax.vmap(_between_saves, axes, 1)(system, pairs)
 
 
 def _refuse_gaps(gaps: Array, wanted: Array) -> None:
     """Raise ValueError if the saved states about a time are too far apart; where they are NaN, the result is NaN."""
-    if concrete(gaps) and bool((gaps >= 1).any()):
-        k = int(np.argmax(gaps >= 1))
+    far = np.argwhere(np.asarray(gaps) >= 1) if concrete(gaps) else np.zeros(0)
+    if far.size:
+        k = int(far[0, 0])
         raise ValueError(
             f"the saved states about t = {float(wanted[k]):.6g} are too far apart to interpolate: their derivatives do "
             "not predict the next state; save more often"
@@ -102,34 +132,30 @@ def _refuse_gaps(gaps: Array, wanted: Array) -> None:
 
 
 @compiled
-def _states_and_gaps(system: System, trajectory: Trajectory, times: Array) -> tuple[State, Array]:
+def _between_saves(system: System, pairs: _Pair) -> tuple[State, Array]:
     """The states, and the relative error of the trapezoidal rule from one saved state to the next; ≥ 1 is too large."""
-    t = trajectory.t
     space: Any = system.phase_space
-    sign = jnp.where(t[-1] < t[0], -1, 1)
-    left = jnp.clip(jnp.searchsorted(sign * t, sign * times, side="right") - 1, 0, len(t) - 2)
-    inside = (sign * t[0] <= sign * times) & (sign * times <= sign * t[-1])
 
-    def interpolate_at(k: Array, time: Array, inside: Array) -> tuple[State, Array]:
-        a, b = (jax.tree.map(lambda x: x[n], trajectory.state) for n in (k, k + 1))  # noqa: B023
-        h = t[k + 1] - t[k]
+    def interpolate_at(pair: _Pair) -> tuple[State, Array]:
+        (a, b), (start, stop), time = pair.states, pair.times, pair.time
+        h = stop - start
         rest, unravel = _raveled(a)
 
         def coordinates(z: State) -> Array:
             return jnp.concatenate([space.displacement(a, z), _raveled(z)[0] - rest])
 
         (_, v0, w0), (end, v1, w1) = (_jet(system, coordinates, z) for z in (a, b))
-        part = (time - t[k]) / jnp.where(h == 0, 1, h)  # 0 between two saves at one time
+        part = (time - start) / jnp.where(h == 0, 1, h)  # 0 between two saves at one time
         d = _quintic(part, end, h * v0, h * v1, h * h * w0, h * h * w1)
         n = d.size - rest.size
         found = space.displaced(a, d[:n])._replace(**unravel(rest + d[n:]))
-        found = found if a.t is None else found._replace(t=jnp.where(a.t == t[k], time, a.t + (time - t[k])))
-        found = jax.tree.map(lambda x: jnp.where(inside, x, jnp.nan), found)
+        found = found if a.t is None else found._replace(t=jnp.where(a.t == start, time, a.t + (time - start)))
+        found = jax.tree.map(lambda x: jnp.where(pair.inside, x, jnp.nan), found)
         missed, moved = (jnp.abs(x)[: space.dim // 2 if a.p.size else None] for x in (h * (v0 + v1) / 2 - end, end))
         unit = space.units(a)[0] if hasattr(space, "units") else 1  # lengths have one of their own
-        return found, jnp.where(inside, jnp.max(missed / (unit + moved)), 0)
+        return found, jnp.where(pair.inside, jnp.max(missed / (unit + moved)), 0)
 
-    return jax.vmap(interpolate_at)(left, times, inside)
+    return jax.vmap(interpolate_at)(pairs)
 
 
 def _raveled(state: State) -> tuple[Array, Callable[[Array], dict[str, Any]]]:

@@ -257,11 +257,6 @@ def rows_of_call(across: int, members: int, row: int, interval: int, entries: in
     return int(max(1, min(enough, most_work // (members * interval), entries)))
 
 
-def power_of_two(rows: int) -> int:
-    """The rows for which machine code has room: the least power of two, or 2, so that runs share programs."""
-    return 1 << max(1, (rows - 1).bit_length())
-
-
 def chunk_members(members: int, count: int, row: int, entries: int, remote: bool) -> int:
     """The most members in a chunk of a run of `count` parts, of which a saved row has `row` bytes for each member.
 

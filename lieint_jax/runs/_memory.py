@@ -8,7 +8,8 @@ from typing import Any
 import jax
 import numpy as np
 
-from lieint_jax.runs._job import MakeStates, chunk_members, power_of_two, rows_of_call
+from lieint_jax.runs._clock import power_of_two
+from lieint_jax.runs._job import MakeStates, chunk_members, rows_of_call
 from lieint_jax.runs._make_job import made_states
 from lieint_jax.runs._part_of_task import checked_part
 from lieint_jax.runs.store._storage import StoreOptions, Url, address

@@ -286,13 +286,17 @@ class Run(Generic[Saved, Reduced]):
         """The run with `num_steps` further steps, bit for bit the run of all these steps.
 
         Raises:
-            ValueError: the run has given times or output times, is not complete, or is on disk.
+            ValueError: the run has given times or output times, is not complete, or is on disk; the steps are no
+                multiple of those between its saves.
         """
         facts, more = self.facts, _checks.count("num_steps", num_steps, 0)
         if facts.source:
             raise ValueError(f"the run is in {facts.source}: bring it to memory first, run.load().extend({num_steps})")
         if facts.dt is None or facts.save_every is None:
             raise ValueError("a run at given times cannot be extended: start another one from its last state")
+        if more % facts.save_every and not isinstance(self.summary, MemberSummary):
+            every, near = facts.save_every, _checks.nearest_multiples(more, facts.save_every)
+            raise ValueError(f"the run has one save per {every} steps: extend it by {near} steps, got {more}")
         start, saves = self._start_and_saves()
         options: dict[str, Any] = self._options | {"num_steps": facts.num_steps + more}
         return run_of_saves(*compute(self.step, start, **options, progress=progress, earlier=saves))

@@ -43,6 +43,10 @@ def a_step(dt=0.05):
     return li.schemes.so3_midpoint(body), body.state(angular_velocity=[0.2, dt, 1.0]), dt
 
 
+def last_of_q(state):
+    return state.q[3]
+
+
 @pytest.mark.long
 @pytest.mark.parametrize(
     "call",
@@ -56,6 +60,9 @@ def a_step(dt=0.05):
         lambda s, z, dt: li.diagnostics.poisson_error(s, z, dt, 6),
         lambda s, z, dt: li.diagnostics.order(s, z, dt),
         lambda s, z, dt: s.system.solution(z, dt),
+        lambda s, z, dt: li.integrate(s, z, dt, round(5 / dt), save_at=np.linspace(0.1, 4.0, round(1 / dt))),
+        lambda s, z, dt: li.event(s, z, dt, last_of_q, round(5 / dt)),
+        lambda s, z, dt: li.run(s, z, dt, round(5 / dt), progress=False).at(np.linspace(0.1, 4.0, round(1 / dt))),
     ],
 )
 def test_a_step_made_again_with_other_numbers_compiles_nothing(caplog, call):

@@ -26,6 +26,7 @@ def test_a_loop_of_a_function_is_explained():
     assert loop.lanes >= 2
     assert set(loop.seconds) == {"walk", "llvm"}
     assert found.engines == {"native"}
+    assert (len(found), list(found), found[0]) == (1, [loop], loop)
     assert "values: 100 steps, members 1000, native, operations 3" in str(found)
     with li.engine("xla"):
         [loop] = li.explain(logistic, 0.3).loops

@@ -9,7 +9,7 @@ import pytest
 from repeated import last
 
 import lieint_jax as li
-from lieint_jax import diagnostics, schemes, systems
+from lieint_jax import diagnostics, runs, schemes, systems
 from lieint_jax.diagnostics.tangent import distance, value_and_jacobian
 
 pytestmark = pytest.mark.long
@@ -42,6 +42,13 @@ def test_times_of_another_epoch_are_refused_in_a_sentence():
         li.integrate(SPLITTING, STATE, 0.05, 34 * 10**9, save_at=[1.7e9])
     info = jax.jit(lambda t: li.observe(SPLITTING, STATE, 0.05, t))(jnp.array([0.1, 1.7e9]))[1]
     assert info.converged.tolist() == [True, False]
+
+
+@pytest.mark.quick
+def test_a_loop_of_any_length_refuses_more_steps_than_it_counts():
+    """Of 2³² + 5 steps from one save to the next it took 5, and reported that they converged."""
+    clock = runs.uniform_clock(SPLITTING, STATE, jnp.asarray(1e-9))
+    assert runs.of_any_length(SPLITTING, STATE, clock, 1, 64, 2**32 + 5) is None
 
 
 def test_the_clock_is_that_of_the_state():

@@ -321,6 +321,13 @@ def test_times_since_the_start_are_told_where_states_have_none():
     np.testing.assert_allclose(grid.summary.first, expected, rtol=1e-15)
 
 
+def test_a_run_is_extended_by_whole_intervals_between_its_saves():
+    """The message was of all steps, which the call does not name: use 30 or 40."""
+    run = li.run(STEP, ONE, 0.05, 20, save_every=10, **QUIET)
+    with pytest.raises(ValueError, match="one save per 10 steps: extend it by 10 or 20 steps, got 15"):
+        run.extend(15)
+
+
 def test_a_run_shows_itself_on_one_screen():
     run = li.run(STEP, bodies(3), 0.05, 40, save_every=4, **QUIET)
     text = repr(run)
