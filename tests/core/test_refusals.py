@@ -894,6 +894,10 @@ OTHERS = [
     *rows(lambda empty: fit(guess=empty), "params holds no numbers", {}, [], jnp.zeros(0)),
     *rows(lambda empty: fit(guess=empty, starts=True), "params holds no numbers", {}, [], jnp.zeros(0)),
     (lambda: fit(lambda p: p[:0]), "the loss returned no residuals"),
+    *rows(lambda x: fit(guess={"a": x}), r"params\['a'\] must hold real numbers, got dtype", 1j, "b", object()),
+    (lambda: fit(guess=np.ones((2, 1)) * 1j, starts=True), "got dtype complex128: fit real and imaginary parts"),
+    *rows(lambda i: fit(lambda p: (p * i).astype(type(i))), "the residuals must hold real numbers", 1, 1j),
+    (lambda: fit(lambda p: 1j * p[0], np.ones(2), "lbfgs"), "the loss must hold real numbers"),
     (
         lambda: fit(lambda p, data: data, jnp.ones((2, 1)), starts=True, data=jnp.ones((2, 0))),
         "the loss returned no residuals",
