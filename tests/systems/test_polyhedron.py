@@ -343,6 +343,10 @@ def test_single_precision():
     assert P.value(x).dtype == P.force(x).dtype == np.float32
     exact = cube().force(x.astype(float))
     np.testing.assert_allclose(P.force(x), exact, rtol=0, atol=2e-5 * float(jnp.abs(exact).max()))
+    for unit in (1e-10, 1e9):  # an asteroid in au, whose squared areas are less than the least number, and a star in m
+        corners = (unit * np.array(CUBE)).astype(np.float32)
+        found = potentials.polyhedron(np.float32(2), (corners, FACES), np.float32(1.5)).force(np.float32(unit) * x)
+        np.testing.assert_allclose(found / unit, exact, rtol=0, atol=2e-5 * float(jnp.abs(exact).max()))
 
 
 def test_a_step_into_another_s_enclosing_sphere_is_flagged():
