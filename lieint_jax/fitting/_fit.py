@@ -38,6 +38,7 @@ from lieint_jax.fitting._search import (
     TARGET,
     Carry,
     Method,
+    check_real,
     residuals_of,
     value_and_flag,
     where,
@@ -147,8 +148,8 @@ def fit(
             standard error.
 
     Raises:
-        ValueError: the optimizer is unknown, there are no parameters or no residuals, the guess is not inside its
-            bounds, or the loss is not a scalar where the optimizer needs one.
+        ValueError: the optimizer is unknown, there are no parameters or no residuals, either are not real numbers, the
+            guess is not inside its bounds, or the loss is not a scalar where the optimizer needs one.
     """
     iterations = _checks.count("iterations", iterations, 0)
     if not 0 <= tolerance < np.inf:
@@ -208,6 +209,7 @@ def _vector(bounds: PyTree, params: PyTree, data: PyTree, starts: bool) -> tuple
     """The coordinates of the first guess, (p,) or (starts, p), and the tree of their shapes for one start."""
     if not sum(np.size(leaf) for leaf in jax.tree.leaves(params)):
         raise ValueError(f"params holds no numbers: give a tree with at least one parameter to fit, got {params!r}")
+    check_real("params", params, jnp.integer, jnp.bool_)
     if not starts:
         tree = _bounds.coordinates(bounds, params)
         return ravel_pytree(tree)[0], jax.eval_shape(lambda: tree)
@@ -434,6 +436,7 @@ def _method(
                 f"the loss must be a scalar for this optimizer, got shape {jnp.shape(value)}; for residuals choose "
                 '"levenberg_marquardt"'
             )
+        check_real("the loss", value)
         return value, ok
 
     if optimizer == "lbfgs":

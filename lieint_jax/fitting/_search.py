@@ -73,7 +73,17 @@ def _is_flag(x: object) -> bool:
 def residuals_of(function: Callable[[PyTree], PyTree], params: PyTree) -> tuple[Array, Array]:
     """The residuals as one vector, and whether they converged."""
     value, ok = value_and_flag(function(params))
+    check_real("the residuals", value)
     return ravel_pytree(value)[0], ok
+
+
+def check_real(name: str, tree: PyTree, *more: type) -> None:
+    """ValueError if a leaf of a tree does not hold floating-point numbers, or such of `more` kinds of dtypes."""
+    for path, leaf in jax.tree_util.tree_leaves_with_path(tree):
+        dtype = leaf.dtype if hasattr(leaf, "dtype") else np.asarray(leaf).dtype
+        if not any(jnp.issubdtype(dtype, kind) for kind in (jnp.floating, *more)):
+            parts = ": fit real and imaginary parts" if jnp.issubdtype(dtype, jnp.complexfloating) else ""
+            raise ValueError(f"{name}{jax.tree_util.keystr(path)} must hold real numbers, got dtype {dtype}{parts}")
 
 
 def where(good: Array, new: PyTree, old: PyTree) -> PyTree:

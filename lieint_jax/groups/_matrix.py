@@ -179,22 +179,23 @@ class MatrixGroup:
         return last <= 2.0**16 * jnp.maximum(1, size)
 
     def log(self, q: SquareMatrix) -> AlgebraVector:
-        """ξ with exp ξ̂ = q, for q near the identity: to round-off for rotations by up to 3 radians.
+        """ξ with exp ξ̂ = q, for q near the identity: to round-off for rotations by up to 3 radians, and for real
+        eigenvalues of ξ̂ up to ±5, where rounding errors of q count as much as its condition number.
 
-        Beyond, it is NaN or, where ξ̂ has several eigenvalues, another logarithm. The corrections converge
-        quadratically, so after a last one below √ε (1 + |ξ̂|²) only rounding errors remain.
+        Beyond, it is NaN or, where ξ̂ has several eigenvalues, another logarithm. The corrections are Newton's, so after
+        a last one below √ε (1 + |ξ̂|²) only rounding errors remain.
         """
 
         def improve(_: int, carry: tuple[Array, Array]) -> tuple[Array, Array]:
             xi, _found = carry
             rest = 2 * self.vee(_artanh(self.exp(-xi) @ q))
-            turn = self.ad(xi, rest)
             last, size = (_square(self.hat(jax.lax.stop_gradient(x))) for x in (rest, xi))
-            return xi + rest + turn / 2 + self.ad(xi, turn) / 12, last <= jnp.finfo(q.dtype).eps * (1 + size) ** 2
+            change = jnp.linalg.solve(self.exp_slope(xi), rest)
+            return xi + change, last <= jnp.finfo(q.dtype).eps * (1 + size) ** 2
 
         guess = self.vee(_rough_log(q)), jnp.zeros((), bool)
         xi, found = jax.lax.fori_loop(0, _CORRECTIONS, improve, guess)
-        return jnp.where(found, xi, jnp.nan)
+        return xi * jnp.where(found, 1, jnp.nan)  # whose derivative is NaN too
 
     def cayley(self, xi: AlgebraVector) -> SquareMatrix:
         """(1 − ½ξ̂)⁻¹(1 + ½ξ̂), which is in the group only if `cayley_lands`."""

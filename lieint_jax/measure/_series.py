@@ -83,7 +83,7 @@ def first_below(t: ArrayLike, x: ArrayLike, limit: float, *, interpolate: bool =
         t: times, (times,).
         x: (times, …).
         limit: in the unit of `x`.
-        interpolate: return the time at which the line from the value before crosses the limit.
+        interpolate: return the time at which the line from the value before crosses the limit, if both are finite.
 
     Returns:
         Times (…); NaN where the series is never below the limit.
@@ -95,6 +95,8 @@ def first_below(t: ArrayLike, x: ArrayLike, limit: float, *, interpolate: bool =
     if interpolate:
         before = np.maximum(k - 1, 0)
         high, low = (np.take_along_axis(x, at[None], 0)[0] for at in (before, k))
-        part = np.where(high > low, (high - limit) / np.where(high > low, high - low, 1), 1)
-        found = np.where(np.isnan(found), np.nan, t[before] + np.clip(part, 0, 1) * (t[k] - t[before]))
+        falls = np.isfinite(high) & np.isfinite(low) & (high > low)
+        high, low = np.where(falls, high, 1), np.where(falls, low, 0)
+        part = np.clip((high - limit) / (high - low), 0, 1)
+        found = np.where(falls, t[before] + part * (t[k] - t[before]), found)
     return found[()]

@@ -166,14 +166,18 @@ def hyperbola(mu: ArrayLike, distance: ArrayLike, speed: ArrayLike) -> Kepler:
         distance: that of the periapsis, > 0.
         speed: that at infinity, > 0.
 
+    Raises:
+        ValueError: one of them is not positive.
+
     Example:
         >>> position, velocity = hyperbola(1.0, 2.0, 3.0)(0.0)
         >>> position.tolist(), round(float(velocity[1]) ** 2, 9)  # v² = v∞² + 2μ/r
         ([2.0, 0.0, 0.0], 10.0)
     """
-    square = jnp.asarray(speed) ** 2
-    excess = jnp.asarray(distance * square / mu)
-    orbit = kepler(mu, -jnp.asarray(mu) / square, 1 + excess)
+    GM, size, v = (_checks.positive(*x) for x in (("mu", mu), ("distance", distance), ("speed", speed)))
+    square = v**2
+    excess = size * square / GM
+    orbit = kepler(GM, -GM / square, 1 + excess)
     return dataclasses.replace(orbit, rest=excess.astype(orbit.eccentricity.dtype))
 
 
@@ -185,6 +189,9 @@ def encounter_speed(semi_major_axis: ArrayLike, eccentricity: ArrayLike, inclina
         eccentricity: of the orbit.
         inclination: to the plane of the planet's orbit, in radians.
 
+    Returns:
+        The speed, of any shape; NaN for orbits that do not meet the planet's, as far as the formula shows it.
+
     Source: Öpik 1951, Proc. R. Irish Acad. 54A: U² = 3 − 1/a − 2√(a(1 − e²)) cos i.
 
     Example: Apophis and the Earth, at 29.78 km/s on a circle, in km/s.
@@ -192,7 +199,8 @@ def encounter_speed(semi_major_axis: ArrayLike, eccentricity: ArrayLike, inclina
         >>> round(float(encounter_speed(0.9224, 0.1914, 0.0583)) * 29.78, 1)
         5.5
     """
-    a, e, i = map(jnp.asarray, (semi_major_axis, eccentricity, inclination))
+    given = {"semi_major_axis": semi_major_axis, "eccentricity": eccentricity, "inclination": inclination}
+    a, e, i = (_checks.real_array(name, x) for name, x in given.items())
     return jnp.sqrt(3 - 1 / a - 2 * jnp.sqrt(a * (1 - e * e)) * jnp.cos(i))
 
 

@@ -151,7 +151,8 @@ def polyhedron(G: ArrayLike, mesh: Shape | tuple[ArrayLike, Any], density: Array
 
     It is exact near a body of any shape, where series of moments such as `mutual_gravity` diverge. Far away its terms
     cancel: the relative error is a few eps (r/R)², with R the size of the body. On edges and vertices φ and the force
-    are finite and right, and second derivatives, which diverge there, finite.
+    are finite and right, and second derivatives, which diverge there, finite. Facets without area, such as those that
+    fill a gap, contribute nothing; derivatives by vertices lose digits as facets become narrow.
 
     In `systems.rigid_bodies` the polyhedron is body 0, with the axes of the mesh, and attracts all others: points, or
     small bodies, whose shape counts to second order by their inertias. The others do not attract one another; add
@@ -204,10 +205,16 @@ def _table(corners: Array) -> Array:
     Rows of zeros, which contribute nothing, complete the last block.
     """
     t = jnp.roll(corners, -1, axis=1) - corners
-    normal = jnp.cross(t[:, 0], t[:, 1])
-    twice = jnp.sqrt(jnp.sum(normal**2, axis=1, keepdims=True))
-    normal = normal / jnp.where(twice > 0, twice, 1)
     e = jnp.sqrt(jnp.sum(t * t, axis=2))
+    order = (jnp.argmax(e, axis=1)[:, None] + jnp.arange(3)) % 3
+    size = jnp.max(e, axis=1, keepdims=True)
+    unit = t / jnp.where(size > 0, size, 1)[:, :, None]
+    longest, a, b = jnp.moveaxis(jnp.take_along_axis(unit, order[:, :, None], axis=1), 1, 0)
+    normal = jnp.cross(a, b)
+    # of a facet without area it is rounding, and the formula needs one that is normal to the edges
+    normal = normal - longest * jnp.sum(longest * normal, axis=1, keepdims=True)
+    sine = jnp.sqrt(jnp.sum(normal**2, axis=1, keepdims=True))
+    normal, twice = normal / jnp.where(sine > 0, sine, 1), sine * size**2
     sides = jnp.cross(t, normal[:, None]) / jnp.where(e > 0, e, 1)[:, :, None]
     rows = jnp.concatenate([corners.reshape(-1, 9), normal, twice, e, sides.reshape(-1, 9)], axis=1)
     rows = jnp.pad(rows, ((0, -len(rows) % _BLOCK), (0, 0)))
@@ -289,5 +296,5 @@ def _logarithm(a: Array, b: Array, ab: Array, square: Array, e: Array) -> Array:
     cancels near an edge. On an edge, where L multiplies 0, the least sum leaves it finite.
     """
     precision, between = jnp.finfo(a.dtype), ab < 0
-    total = jnp.where(between, e * e * square / jnp.where(between, a * b - ab, 1), a * b + ab)
+    total = jnp.where(between, e * square * (e / jnp.where(between, a * b - ab, 1)), a * b + ab)
     return jnp.log1p(e * (a + b + e) / jnp.maximum(total, (precision.eps * e) ** 2 + precision.tiny))

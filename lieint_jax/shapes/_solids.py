@@ -276,7 +276,7 @@ def mesh(vertices: ArrayLike, faces: Any, *, mass: ArrayLike | None = None, dens
         vertices: (V, 3).
         faces: the indices of the three vertices of each triangle, counted from 0, (F, 3); seen from outside, all
             counterclockwise or all clockwise. The surface may have several parts, also inside others: cavities, whose
-            outside is the hollow.
+            outside is the hollow. What parts that cross have in common counts twice: this is not checked.
         mass, density: exactly one of them, a scalar.
 
     Raises:

@@ -18,7 +18,11 @@ from lieint_jax.types.members import Axis, Run, axes, map_over_run
 from lieint_jax.types.shapes import PyTree
 
 _SHORT = 16  # the most numbers that a description shows
-_POSE, _MOMENTA = ["x", "y", "z", "qw", "qx", "qy", "qz"], ["px", "py", "pz", "pix", "piy", "piz"]
+_BODIES = {  # by the name and the number of components of each body
+    ("q", 7): ("pose", ["x", "y", "z", "qw", "qx", "qy", "qz"]),
+    ("p", 6): ("momenta", ["px", "py", "pz", "pix", "piy", "piz"]),
+}
+_CROSS = np.cross(np.eye(3)[:, None], np.eye(3))  # the structure constants of rotations in space
 _COMPONENTS: dict[tuple[int, ...], tuple[str, list[str]]] = {
     (4,): ("quaternion", list("wxyz")),
     (3,): ("axis", list("xyz")),
@@ -127,15 +131,23 @@ def state_axes(
     if name == "extra_works" and len(shape) == 1:
         names = laws_of(system)
         return ("law",), {"law": names} if len(names) == shape[0] else {}
-    if name in ("q", "p", "angular_velocity") and shape in _COMPONENTS:
+    if name in ("q", "p", "angular_velocity") and shape in _COMPONENTS and _has_axes(system):
         dim, own = _COMPONENTS[shape]
         return (dim,), {dim: own}
-    if name in ("q", "p") and len(shape) == 2 and shape[1] in (6, 7):
-        dim, own = ("pose", _POSE) if shape[1] == 7 else ("momenta", _MOMENTA)
+    if len(shape) == 2 and (name, shape[1]) in _BODIES and _has_axes(system):
+        dim, own = _BODIES[name, shape[1]]
         return ("body", dim), {"body": np.arange(shape[0]), dim: own}
     if len(shape) == 2 and name in ("q", "p"):
         return ("row", "column"), {}
     return tuple(f"{name}_component{k or ''}" for k in range(len(shape))), {}
+
+
+def _has_axes(system: PyTree) -> bool:
+    """Whether components may belong to axes of space: on matrix groups other than rotations they are of the basis."""
+    structure = getattr(getattr(system, "group", None), "structure", None)
+    if structure is None:
+        return True
+    return structure.shape == _CROSS.shape and np.allclose(structure, structure[0, 1, 2] * _CROSS)
 
 
 def _invariants(run: Run, system: PyTree, system_axis: Axis) -> dict[str, Array]:

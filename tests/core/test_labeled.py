@@ -60,6 +60,18 @@ def test_several_bodies_and_matrices_have_axes_of_their_own():
     assert elastic.extra_rotor.dims == ("time", "extra_rotor_component")
 
 
+@pytest.mark.parametrize("name", ["special_unitary(3)", "special_linear(2)", "special_orthogonal(3)"])
+def test_states_on_matrix_groups_have_rows_and_columns_and_momenta_no_axes_but_for_rotations(name):
+    """Those of SU(3), 6 by 6, were labeled as bodies, and momenta on SL(2) with x, y and z."""
+    group = getattr(li.groups, name[:-3])(int(name[-2]))
+    states = State(jnp.ones((5, group.size, group.size)), jnp.ones((5, group.dim)))
+    flags = StepInfo(jnp.zeros(5), jnp.ones(5, bool))
+    found = Trajectory(T, states, flags).to_xarray(li.systems.euler(group, np.eye(group.dim)))
+    assert found.q.dims == ("time", "row", "column")
+    assert found.p.dims == ("time", "axis" if name == "special_orthogonal(3)" else "p_component")
+    assert set(found.coords) == {"time"} | ({"axis"} if name == "special_orthogonal(3)" else set())
+
+
 def test_attitudes_become_rotations_and_euler_angles():
     path = run()
     turns = path.rotations()

@@ -62,10 +62,11 @@ def test_times_of_thresholds_are_those_of_a_search(values, limit):
 
 
 def test_a_threshold_of_many_members_is_that_of_each():
-    x = np.stack([10 - T, np.full_like(T, 3.0), np.abs(T - 30.0), np.where(T > 40, np.nan, 0.0)], axis=1)
+    after_inf = np.where(T < 2, np.inf, 1.0)
+    x = np.stack([10 - T, np.full_like(T, 3.0), np.abs(T - 30.0), np.where(T > 40, np.nan, 0.0), after_inf], axis=1)
     found = measure.first_below(T, x, 4.03, interpolate=True)
-    np.testing.assert_allclose(found, [5.97, 0.0, 25.97, 0.0], rtol=1e-13)
-    np.testing.assert_equal(measure.captured_since(T, x, 4.0), [6.0, 0.0, np.nan, np.nan])
+    np.testing.assert_allclose(found, [5.97, 0.0, 25.97, 0.0, T[T >= 2][0]], rtol=1e-13)
+    np.testing.assert_equal(measure.captured_since(T, x[:, :4], 4.0), [6.0, 0.0, np.nan, np.nan])
 
 
 def test_a_line_is_found_with_its_frequency_and_amplitude():

@@ -124,6 +124,21 @@ def test_phi_and_the_force_are_continuous_at_edges_vertices_and_faces_and_on_lin
     assert np.isfinite(P.hessian(x)).all()
 
 
+@pytest.mark.quick
+def test_a_facet_without_area_contributes_nothing():
+    """Its normal is rounding, which was not normal to its edges: the force was wrong by 1 %."""
+    at, faces = np.random.default_rng(3).normal(size=(4, 3)), [[0, 2, 1], [0, 1, 3], [0, 3, 2], [1, 2, 3]]
+    x = jnp.array([[0.7, 1.1, 0.3], [2.0, -1.0, 0.5]])
+    plain = potentials.polyhedron(1.0, (at, faces), 1.0)
+    for height in (0.0, 1e-15):  # of a vertex over an edge
+        split = np.concatenate([at, [0.4 * at[0] + 0.6 * at[1] + height * np.array([0.3, 0.4, -0.5])]])
+        found = potentials.polyhedron(1.0, (split, [[0, 2, 4], [4, 2, 1], [0, 4, 1], *faces[1:]]), 1.0)
+        for name in ("value", "force", "hessian"):
+            expected = getattr(plain, name)(x)
+            close = 1e-14 * float(jnp.abs(expected).max())  # observed: 1e-15
+            np.testing.assert_allclose(getattr(found, name)(x), expected, rtol=0, atol=close)
+
+
 def by_tetrahedra(shape, x, order=10):
     """The force at density 1 and G = 1 by quadrature within tetrahedra, cut in halves until they are small from x."""
     corners = np.asarray(shape.triangles)
@@ -328,6 +343,10 @@ def test_single_precision():
     assert P.value(x).dtype == P.force(x).dtype == np.float32
     exact = cube().force(x.astype(float))
     np.testing.assert_allclose(P.force(x), exact, rtol=0, atol=2e-5 * float(jnp.abs(exact).max()))
+    for unit in (1e-10, 1e9):  # an asteroid in au, whose squared areas are less than the least number, and a star in m
+        corners = (unit * np.array(CUBE)).astype(np.float32)
+        found = potentials.polyhedron(np.float32(2), (corners, FACES), np.float32(1.5)).force(np.float32(unit) * x)
+        np.testing.assert_allclose(found / unit, exact, rtol=0, atol=2e-5 * float(jnp.abs(exact).max()))
 
 
 def test_a_step_into_another_s_enclosing_sphere_is_flagged():
