@@ -127,10 +127,10 @@ def conditions(step: Step, state: State, dt: Any) -> Conditions:
     (5.49) are conditions of energy only where (5.26) holds; (4.13) follows from (3.5) for scaled Cayley maps.
 
     Units: momenta, (3.5), (5.31), (4.13) and 14.1 are divided by the largest component of π, or at rest by that of a
-    body that swings by a radian (14.1 is also multiplied by (4/Δt²) m…m, which makes it (5.31) for α = ½); energies by the kinetic energy and the change of V; 14.2, 14.3,
-    (4.21), (4.22) and similar ones by their largest terms; (5.26) by the largest component of Ω. On groups other than
-    SO(3) components are those in a basis of equal m_ii whose largest structure constant is 1, such as angles and
-    lengths over √(J/M) on SE(3).
+    body that swings by a radian (14.1 is also multiplied by (4/Δt²) m…m, which makes it (5.31) for α = ½); energies by
+    the kinetic energy and the change of V; 14.2, 14.3, (4.21), (4.22) and similar ones by their largest terms; (5.26)
+    by the largest component of Ω. On groups other than SO(3) components are those in a basis of equal m_ii whose
+    largest structure constant is 1, such as angles and lengths over √(J/M) on SE(3).
 
     Args:
         step: a one-step scheme, as in the paper: z_{n+1} depends on z_n only.
