@@ -126,7 +126,8 @@ class Derivatives(NamedTuple):
 
 def derivatives(system: System, state: State, frame: Array, spins: Spins | None) -> Derivatives:
     """The derivatives at a concrete state, as host arrays."""
-    return Derivatives(*(np.asarray(x, float) for x in _derivatives(system, state, frame, spins)))
+    found = *_derivatives(system, state, frame, spins), units_at_start(system, state)
+    return Derivatives(*(np.asarray(x, float) for x in found))
 
 
 @partial(compiled, once=True)
@@ -150,7 +151,7 @@ def _derivatives(system: System, state: State, frame: Array, spins: Spins | None
         along, along2 = jnp.zeros((0, space.dim)), jnp.zeros((0, space.dim, space.dim))
     else:
         along, along2 = jax.jacfwd(momentum)(zero), jax.jacfwd(jax.jacfwd(momentum))(zero)
-    return first(zero), second(zero), along, along2, space.omega(state), units_at_start(system, state)
+    return first(zero), second(zero), along, along2, space.omega(state)
 
 
 def equilibrium(
@@ -327,7 +328,7 @@ def frame_of(system: System, state: State, given: ArrayLike | None) -> Array:
         omega = _axis_rate(system, state)
     else:
         omega = jnp.zeros(3, dtype)
-    varying, mismatch = (float(x) for x in _defects(system, state, omega))
+    varying, mismatch = (float(x) for x in _defects(system, state, omega, units_at_start(system, state)))
     tolerance = float(np.finfo(dtype).eps) ** 0.5
     if not varying <= tolerance:
         raise ValueError(
@@ -353,13 +354,12 @@ def _axis_rate(system: Any, state: State) -> Array:
 
 
 @partial(compiled, once=True)
-def _defects(system: System, state: State, omega: Array) -> tuple[Array, Array]:
+def _defects(system: System, state: State, omega: Array, unit: Array) -> tuple[Array, Array]:
     """The change of H with time in the rotating axes, and the difference of ẋ from the Hamiltonian field, relative.
 
     They are measured over a revolution, at states near the given one, where neither vanishes by symmetry.
     """
     space = system.phase_space
-    unit = units_at_start(system, state)
     offsets = 0.05 * jnp.asarray(np.sin(np.outer([1.0, 2.3, 3.1], 1.7 + np.arange(space.dim))), unit.dtype)
 
     def energy(z: State, s: Array) -> Array:

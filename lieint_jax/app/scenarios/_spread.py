@@ -2,8 +2,8 @@
 
 The key of a number in `[spread]` is its path in the scenario, such as `inertia` or `orbit.eccentricity`; a table of a
 list is named by its `name` or counted from 1. The value is a standard deviation in the unit of the number, one for all
-components or one each; with the suffix `_percent` it is relative to the number. Deviations are normal. Invalid draws are
-repeated, so that every member is a valid scenario.
+components or one each; with the suffix `_percent` it is relative to the number. Deviations are normal. Invalid draws
+are repeated, so that every member is a valid scenario.
 """
 
 from __future__ import annotations
