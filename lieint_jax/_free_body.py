@@ -542,7 +542,7 @@ class _Motion(NamedTuple):
 
     @property
     def signs(self) -> tuple[Array, Array, Array]:
-        """Of e(τ), in which `halves` half periods are missing."""
+        """The signs that e(τ) has after `halves` half periods."""
         odd = _sign_after(self.halves)
         return where(self.about_r, 1, odd), odd, where(self.about_r, odd, 1)
 

@@ -15,7 +15,7 @@ from lieint_jax import _checks
 from lieint_jax._deprecated import warn_of_removal
 from lieint_jax._xla import compiled
 from lieint_jax.adjoints._undo import undoable
-from lieint_jax.diagnostics.tangent import distance
+from lieint_jax.diagnostics.tangent import distance, swinging
 from lieint_jax.runs import (
     Adjoint,
     Clock,
@@ -183,4 +183,5 @@ def round_trip_error(step: Step, state: State, dt: ArrayLike, num_steps: int) ->
 def _there_and_back(step: Step, state: State, h: Array, num_steps: ArrayLike) -> Array:
     prepared = step.prepare(state, h)
     end, _ = steps(prepared, state, h, num_steps)
-    return distance(steps(prepared, end, -h, num_steps)[0], state, step.system.phase_space)
+    back, _ = steps(prepared, end, -h, num_steps)
+    return distance(back, state, step.system.phase_space, scale=swinging(step.system, state))

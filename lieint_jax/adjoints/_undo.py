@@ -45,7 +45,12 @@ def undoable(step: Step, state: State, dt: Array, counts: ArrayLike, tolerance: 
     gammas = (1.0,)
     if isinstance(ready, Composition):
         stage, gammas = native.hoisted(lambda z, h: ready.step(z, h), state, dt), ready.gammas
-    apart = native.hoisted(lambda a, b: distance(a, b, space), state, state)
+
+    def distance_in(a: State, b: State, later: State) -> Array:
+        larger = jnp.maximum(jnp.abs(b.p), jnp.abs(later.p))  # a body released from rest has no momentum at b
+        return distance(a, b, space, scale=b._replace(p=larger))
+
+    apart = native.hoisted(distance_in, state, state, state)
     run, arrays = _Undoable(whole[0], stage[0], apart[0], gammas, tolerance), (whole[1], stage[1], apart[1])
     given = with_common_axes((arrays, state, dt, clock))
     later, info = _run(run, *given, counts)
@@ -62,7 +67,7 @@ class _Undoable(NamedTuple):
     Attributes:
         step: (z, Δt) ↦ the state one step later, and its report.
         stage: the same for a sub-step of a composition; for any other step it is `step`.
-        apart: the distance of two states.
+        apart: the distance of two states, in units of the larger momenta of the second and a later one.
         gammas: the sizes of the sub-steps, over Δt.
         tolerance: the distance of a rebuilt state from the saved one above which a warning is issued.
     """
@@ -114,7 +119,7 @@ class _Undoable(NamedTuple):
             lam = jax.tree.map(jnp.add, lam, seen)
             substeps = count * len(self.gammas)
             rebuilt, lam, sums = native.march(undo, (end, lam, sums), None, consts, rows=1, every=substeps)[0]
-            return (lam, sums), self.apart(arrays[2], rebuilt, start)
+            return (lam, sums), self.apart(arrays[2], rebuilt, start, end)
 
         starts = jax.tree.map(lambda first, rest: jnp.concatenate([first[None], rest])[:-1], state, later)
         zero, starts = with_common_axes((jax.tree.map(jnp.zeros_like, (state, (real, dt))), starts))

@@ -32,7 +32,7 @@ from lieint_jax.capabilities import (
     AbstractMechanicalSystem,
     AbstractTop,
 )
-from lieint_jax.diagnostics.tangent import size, value_and_jacobian
+from lieint_jax.diagnostics.tangent import size, swinging, value_and_jacobian
 from lieint_jax.groups import so3
 from lieint_jax.types import State, Step, pytree, static
 from lieint_jax.types.shapes import PyTree
@@ -126,15 +126,15 @@ def conditions(step: Step, state: State, dt: Any) -> Conditions:
     ("5.43", "6.5"), which `splitting` is not. Three conditions are not decisive: (5.26) is only sufficient; (4.5) and
     (5.49) are conditions of energy only where (5.26) holds; (4.13) follows from (3.5) for scaled Cayley maps.
 
-    Units: momenta, (3.5), (5.31), (4.13) and 14.1 are divided by the largest component of π (14.1 is also multiplied by
-    (4/Δt²) m…m, which makes it (5.31) for α = ½); energies by the kinetic energy and the change of V; 14.2, 14.3,
-    (4.21), (4.22) and similar ones by their largest terms; (5.26) by the largest component of Ω. On groups other than
-    SO(3) components are those in a basis of equal m_ii whose largest structure constant is 1, such as angles and
-    lengths over √(J/M) on SE(3).
+    Units: momenta, (3.5), (5.31), (4.13) and 14.1 are divided by the largest component of π, or at rest by that of a
+    body that swings by a radian (14.1 is also multiplied by (4/Δt²) m…m, which makes it (5.31) for α = ½); energies by
+    the kinetic energy and the change of V; 14.2, 14.3, (4.21), (4.22) and similar ones by their largest terms; (5.26)
+    by the largest component of Ω. On groups other than SO(3) components are those in a basis of equal m_ii whose
+    largest structure constant is 1, such as angles and lengths over √(J/M) on SE(3).
 
     Args:
         step: a one-step scheme, as in the paper: z_{n+1} depends on z_n only.
-        state: the state z_n, not at rest.
+        state: the state z_n.
         dt: Δt.
 
     Returns:
@@ -176,7 +176,7 @@ def _embedded(system: PyTree, state: State, end: State) -> _Found:
     Pi0, Pi1 = system.body_momentum(state), system.body_momentum(end)
     mean = (system.angular_velocity(state) + system.angular_velocity(end)) / 2
     T = jnp.linalg.solve(state.q, end.q)
-    unit, H = size(state.p), system.energy(state)
+    unit, H = size(state.p), _nonzero(system.energy(state))
     stretch = _largest(T) * _largest(jnp.linalg.inv(state.q)) * _largest(state.q)
     return {
         "2.18": (_largest(end.p - state.p) / unit, jnp.ones_like(unit)),
@@ -201,7 +201,8 @@ def _on_group(step: Step, state: State, end: State, L: Array, dt: Any) -> _Found
     def ad_star(mu: Array) -> Array:
         return jax.vmap(group.ad_star, (1, None), 1)(one, mu / units) * units * units[:, None]
 
-    of_p = size(units * state.p)  # a unit: rounding errors are estimated by the largest entries of L
+    typical = units * swinging(system, state).p
+    of_p = size(typical)  # a unit: rounding errors are estimated by the largest entries of L
     L, p0, p1 = _in_units(L, units, of_p / units), units * state.p / of_p, units * end.p / of_p
     m = units[:, None] * m * units / of_p
     inverse = group.inverse(state.q)
@@ -210,7 +211,7 @@ def _on_group(step: Step, state: State, end: State, L: Array, dt: Any) -> _Found
     forth, back = matrix(group.Ad, turn), matrix(group.Ad, group.inverse(turn))
     Pi0, Pi1 = Ad0.T @ p0, Ad1.T @ p1
     Omega = solve(m, (Pi0 + Pi1) / 2)
-    unit = size(Pi0)
+    unit = size(Ad0.T @ typical / of_p)
     kinetic = Pi0 @ solve(m, Pi0) / 2
 
     d_Pi0 = Ad0.T @ jnp.hstack([ad_star(p0), one])
@@ -225,7 +226,7 @@ def _on_group(step: Step, state: State, end: State, L: Array, dt: Any) -> _Found
             _largest(moved[:, :d] - H @ d_Theta[:, :d]) / _largest(moved),
             scale * (1 + _largest(by_pi) * _largest(d_Theta)) / _largest(moved),
         ),
-        "5.26": (_largest(forth @ Omega - Omega) / _largest(Omega), _largest(forth)),
+        "5.26": (_largest(forth @ Omega - Omega) / _nonzero(_largest(Omega)), _largest(forth)),
     }
     midpoint = type(step).velocity_weight is Step.velocity_weight
     Psi0, Psi1 = dt * (1 - w) * jnp.linalg.inv(m), dt * w * jnp.linalg.inv(m)
@@ -247,14 +248,14 @@ def _on_group(step: Step, state: State, end: State, L: Array, dt: Any) -> _Found
     if not isinstance(system, AbstractForcedSystem):
         half = 2 * solve(one + forth, Omega) - Omega
         found["2.18"] = (_largest(p1 - p0), ones)
-        found["5.25"] = (jnp.abs(Omega @ m @ half) / kinetic, jnp.linalg.cond(one + forth) * _largest(forth))
+        found["5.25"] = (jnp.abs(Omega @ m @ half) / _nonzero(kinetic), jnp.linalg.cond(one + forth) * _largest(forth))
         if not midpoint:
             found["14.1"] = first
         return found
 
     force = (p1 - p0) / dt
     V0, V1 = ((system.energy(z) - system.free.energy(z)) / of_p for z in (state, end))
-    energy = kinetic + jnp.abs(V1 - V0)
+    energy = _nonzero(kinetic + jnp.abs(V1 - V0))
     terms = (jnp.abs(V0) + jnp.abs(V1) + kinetic) / energy * _largest(forth)
     pushed_ = (L[d:] - jnp.hstack([0 * one, one])) / dt
     G = pushed_[:, d:] @ by_pi
@@ -286,7 +287,7 @@ def _elastic(step: Step, state: State, end: State, L: Array, dt: Any) -> _Found:
     """The conditions of Section 6, whose group is abelian: H = 1."""
     system, b = step.system, jnp.asarray(step.velocity_weight, L.dtype)
     E = jnp.diag(system.inertia) if jnp.ndim(system.inertia) == 1 else system.inertia
-    of_p = size(state.p)  # a unit: rounding errors are estimated by the largest entries of L
+    of_p = size(swinging(system, state).p)  # a unit: rounding errors are estimated by the largest entries of L
     L = _in_units(L, jnp.ones(9, L.dtype), of_p)
     E, p0, p1 = E / of_p, state.p / of_p, end.p / of_p
     E_inverse = jnp.linalg.inv(E)
@@ -298,13 +299,13 @@ def _elastic(step: Step, state: State, end: State, L: Array, dt: Any) -> _Found:
     by_P = jnp.linalg.inv(L[:9, 9:])
     after = (L[9:, 9:] - one) / dt @ by_P  # ∂𝓕/∂F_{n+1}
     before = L[9:, :9] / dt - after @ L[:9, :9]  # ∂𝓕/∂F_n
-    unit = _largest(p0) + _largest(dP)
+    unit = _nonzero(_largest(p0) + _largest(dP))
     stiff = _nonzero(jnp.maximum(_largest(before), _largest(after)))
     blur = scale / jnp.abs(dt) * (1 + _largest(by_P) * scale) / stiff
     torque = dP @ ((1 - b) * end.q + b * state.q).T
     W0, W1 = (system.stored_energy(z.q.T @ z.q) / of_p for z in (state, end))
     kinetic = jnp.sum(mean @ E_inverse * mean) / 2
-    energy = kinetic + jnp.abs(W1 - W0)
+    energy = _nonzero(kinetic + jnp.abs(W1 - W0))
     V = (p0 + p1) / 2 @ E_inverse
     total = Psi0 + Psi1
     return {

@@ -26,15 +26,14 @@ from lieint_jax import _checks
 from lieint_jax._checks import concrete
 from lieint_jax._xla import compiled
 from lieint_jax.capabilities import AbstractDrivenTop, AbstractRigidBodies
-from lieint_jax.diagnostics.tangent import distance, units
+from lieint_jax.diagnostics.tangent import units, units_at_start
 from lieint_jax.groups import so3
 from lieint_jax.phase_spaces import CotangentGroup
-from lieint_jax.types import PhaseSpace, State, System, promoted
+from lieint_jax.types import State, System, promoted
 
 _ITERATIONS, _HALVINGS = 60, 12
 _WEIGHT = 0.1  # a change of the rates in the length of a correction; Newton's method fails sooner with more than 0.3
 _RANK = 1e-9  # singular values below this part of the largest one count as 0: those of symmetries are round-off
-_AT_REST = 1e-2  # least unit of a momentum, over that with which kinetic energy varies as much as the potential
 
 
 class Spins(NamedTuple):
@@ -64,8 +63,8 @@ class Equilibrium(NamedTuple):
             a system without known symmetries.
         frame: ω, (3,), the angular velocity of the axes in space in which the field is constant; 0 if it is at rest.
         residual: |dK|, relative to the second derivatives of K, in the units of the state.
-        moved: the largest change of a coordinate from the guess, in radians, or in units of the largest momentum; for
-            systems with a unit of length, in that unit.
+        moved: the largest change of a coordinate from the guess, in radians, or in units of the largest momentum, at
+            rest of one that swings by a radian; for systems with a unit of length, in that unit.
         change: the change of every coordinate of the phase space, (2d,): of N bodies, `change.reshape(2, N, 6)` has the
             shift of each position and the rotation in radians, then the changes of both momenta.
         spins: the bodies that spin at rates of their own, and their axes.
@@ -127,7 +126,8 @@ class Derivatives(NamedTuple):
 
 def derivatives(system: System, state: State, frame: Array, spins: Spins | None) -> Derivatives:
     """The derivatives at a concrete state, as host arrays."""
-    return Derivatives(*(np.asarray(x, float) for x in _derivatives(system, state, frame, spins)))
+    found = *_derivatives(system, state, frame, spins), units_at_start(system, state)
+    return Derivatives(*(np.asarray(x, float) for x in found))
 
 
 @partial(compiled, once=True)
@@ -151,19 +151,7 @@ def _derivatives(system: System, state: State, frame: Array, spins: Spins | None
         along, along2 = jnp.zeros((0, space.dim)), jnp.zeros((0, space.dim, space.dim))
     else:
         along, along2 = jax.jacfwd(momentum)(zero), jax.jacfwd(jax.jacfwd(momentum))(zero)
-    hessian = second(zero)
-    return first(zero), hessian, along, along2, space.omega(state), _units(space, state, hessian)
-
-
-def _units(space: PhaseSpace, state: State, hessian: Array) -> Array:
-    """The units of the coordinates, (2d,); a body at rest, or nearly, gives none: it has a part of √(K_qq/K_pp)."""
-    of_q, _ = units(space, state)
-    n = of_q.size
-    stiffness = jnp.max(jnp.abs(of_q[:, None] * hessian[:n, :n] * of_q))
-    mobility = jnp.diagonal(hessian)[n:]
-    natural = _AT_REST * jnp.sqrt(stiffness / jnp.where(mobility > 0, mobility, jnp.inf))
-    natural = natural.reshape(state.p.shape) if natural.size == state.p.size else jnp.max(natural, initial=0)
-    return jnp.concatenate(units(space, state._replace(p=jnp.maximum(jnp.abs(state.p), natural))))
+    return first(zero), second(zero), along, along2, space.omega(state)
 
 
 def equilibrium(
@@ -227,8 +215,8 @@ def equilibrium(
     start, state = state, _newton(system, state, omega, chosen, spins)
     found, space = derivatives(system, state, omega, spins), system.phase_space
     rates, dtype = found.rates(), state.p.dtype
-    moved, change = distance(start, state, space), space.displacement(start, state)
-    residual = jnp.asarray(found.residual(rates))
+    residual, change = jnp.asarray(found.residual(rates)), space.displacement(start, state)
+    moved = jnp.asarray(np.max(np.abs(change) / found.unit), dtype)
     return Equilibrium(state, jnp.asarray(rates, dtype), omega, residual, moved, change, spins)
 
 
@@ -340,7 +328,7 @@ def frame_of(system: System, state: State, given: ArrayLike | None) -> Array:
         omega = _axis_rate(system, state)
     else:
         omega = jnp.zeros(3, dtype)
-    varying, mismatch = (float(x) for x in _defects(system, state, omega))
+    varying, mismatch = (float(x) for x in _defects(system, state, omega, units_at_start(system, state)))
     tolerance = float(np.finfo(dtype).eps) ** 0.5
     if not varying <= tolerance:
         raise ValueError(
@@ -366,13 +354,12 @@ def _axis_rate(system: Any, state: State) -> Array:
 
 
 @partial(compiled, once=True)
-def _defects(system: System, state: State, omega: Array) -> tuple[Array, Array]:
+def _defects(system: System, state: State, omega: Array, unit: Array) -> tuple[Array, Array]:
     """The change of H with time in the rotating axes, and the difference of ẋ from the Hamiltonian field, relative.
 
     They are measured over a revolution, at states near the given one, where neither vanishes by symmetry.
     """
     space = system.phase_space
-    unit = jnp.concatenate(units(space, state))
     offsets = 0.05 * jnp.asarray(np.sin(np.outer([1.0, 2.3, 3.1], 1.7 + np.arange(space.dim))), unit.dtype)
 
     def energy(z: State, s: Array) -> Array:

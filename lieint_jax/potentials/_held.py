@@ -86,8 +86,8 @@ class Held(Potential):
         first = int(self.first is not None)
         return force(self.potential, *self._all_bodies(x, R))[first : first + len(x)]
 
-    def _all_bodies(self, x: Positions, R: Rotations, *given: Array) -> tuple[Positions, Rotations]:
-        """Positions and rotations of all bodies, with the constant poses or those at `given`."""
+    def _all_bodies(self, x: Positions, R: Rotations, *given: Array) -> tuple[Array, Array]:
+        """Positions (M, 3) and rotations (M, 3, 3) of all bodies, with the constant poses or those at `given`."""
         if not given and self.driven:
             raise ValueError("a body moves in a given way, so the potential depends on time: use potential.at(t)")
         at, turned = given or self.poses(None)

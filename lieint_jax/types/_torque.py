@@ -189,7 +189,7 @@ class Total(Law):
         return all(law.symmetric for law in self.laws)
 
     def mean(self, rotation: Rotation, inner: PyTree) -> tuple[Array, PyTree]:
-        raise NotImplementedError  # a step adds up the laws
+        raise NotImplementedError("a sum of laws has torques in several axes: call each of its `laws`")
 
 
 def total(laws: Any) -> Total:

@@ -100,7 +100,7 @@ def test_the_nominal_body_has_the_published_periods_and_energy():
 
 
 @pytest.mark.parametrize(("long_axis", "turn"), [(False, 180), (True, 0)])
-def test_half_a_turn_about_the_axis_that_the_momentum_goes_round_is_half_a_turn_of_psi(long_axis, turn):
+def test_a_rotation_by_pi_about_the_axis_of_the_mode_shifts_psi_by_pi(long_axis, turn):
     """So the map of half the phases has them all: φ changes with the short axis' turn, and not with the long axis'."""
     spin = motion.Spin(*map(jnp.asarray, (0.55, 0.8, 20.0, 60.0, 1.0, -0.4, 2.0, 1.2)))
     at, toward = jax.jit(motion.state_at_perigee, static_argnums=2), jnp.asarray([0.3, -0.9, 0.2])

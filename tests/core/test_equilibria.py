@@ -236,6 +236,8 @@ def test_a_hanging_top_is_found_in_any_units_though_it_has_no_momentum(mass, rat
     np.testing.assert_allclose(top.Gamma(found.state), [0, 0, -1], rtol=0, atol=2e-15)  # observed: 4e-16
     frequencies = li.normal_modes(top, found).frequencies[:2]
     np.testing.assert_allclose(frequencies, np.sqrt(1 / np.array([1.5, 1.0])), rtol=1e-11)  # observed: 6e-13
+    swung = li.equilibrium(top, top.state(guess.q, angular_velocity=[0.3, 0.0, 0.0])).moved
+    assert swung == pytest.approx(0.3, abs=0.02)  # a rotation by 0.3; the momentum is 0.2 of that of a radian's swing
 
 
 @pytest.mark.parametrize(

@@ -74,7 +74,8 @@ def _geometry(system, state):
     moved = space.perturb(state, jnp.full(space.dim, 0.01, state.p.dtype))
     tangent = space.trivialize(state, system.vector_field(state))
     there = space.displaced(state, space.displacement(state, moved))
-    return tangent, there, space.omega(state), space.defect(state)
+    form = space.omega(state) if system.hamiltonian else ()  # kinematics have none
+    return tangent, there, form, space.defect(state)
 
 
 @pytest.mark.long

@@ -244,8 +244,11 @@ def test_every_module_has_examples_and_is_exported(package):
 
 @pytest.mark.parametrize("room", stubs.ROOMS, ids=lambda room: room.__name__)
 def test_type_checkers_see_the_names_of_a_room(room):
-    """`python tests/lib/stubs.py` writes them."""
-    assert stubs.path(room).read_text(encoding="utf-8") == stubs.stub(room)
+    """`python tests/lib/stubs.py` writes them, and so does this test where they lack a new file."""
+    written, text = stubs.path(room).read_text(encoding="utf-8"), stubs.stub(room)
+    if written != text:
+        stubs.path(room).write_text(text, encoding="utf-8")
+    assert written == text, "written again: commit it"
 
 
 LARGE = ("euler.manakov", "group_potential.bottom_heavy", "rigid_bodies")  # steps that compile for long

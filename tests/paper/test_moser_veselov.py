@@ -45,6 +45,7 @@ def spread(momenta):
     return np.abs(momenta - momenta[0]).max() / np.abs(momenta[0]).max()
 
 
+@pytest.mark.paper("1.2", "Moser and Veselov's algorithm: the momentum that it conserves", "schemes/_so3_midpoint.py")
 @pytest.mark.parametrize("n", [3, 4, 5])
 def test_1_2_moser_veselov_conserves_the_momentum_of_the_attitude_before_the_step(n):
     """X_k M_k X_kᵀ is constant. X_{k+1} M_k X_{k+1}ᵀ, the other attitude of the same step, is not."""

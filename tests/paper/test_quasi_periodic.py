@@ -63,6 +63,7 @@ def prediction_error(x, after, basic):
     return np.std(after - predicted) / np.std(after)
 
 
+@pytest.mark.paper("6.3", "the energy is quasi-periodic in Figure 4 (a)", "schemes/_additive.py")
 @pytest.mark.long
 def test_6_3_the_energy_of_figure_4_a_is_quasi_periodic_with_two_frequencies():
     """With a wrong second frequency as many lines predict nothing."""

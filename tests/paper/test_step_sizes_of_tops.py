@@ -36,6 +36,7 @@ def _converged(iterations, tops, size, dt):
     return jax.vmap(one)(*tops)
 
 
+@pytest.mark.paper("1.2", 'for tops "unconditionally stable": up to which step', "schemes/_top_energy_momentum.py")
 @pytest.mark.parametrize(
     ("iterations", "limits"), [(None, (0.30, 0.15)), pytest.param(50, (2.25, 1.05), marks=pytest.mark.long)]
 )

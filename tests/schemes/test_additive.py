@@ -197,6 +197,7 @@ def vibrations():
     return eigh(jax.jit(jax.hessian(W))(np.eye(3).ravel()), np.kron(np.eye(3), E), eigvals_only=True)
 
 
+@pytest.mark.paper("6.2", "(6.17) with α ≠ ½: up to which step it is stable", "schemes/_additive.py")
 @pytest.mark.long
 @pytest.mark.parametrize("alpha", [0.0, 0.3, 0.5, 0.8, 1.0])
 def test_6_17_is_stable_below_2_over_1_less_2_alpha(alpha):

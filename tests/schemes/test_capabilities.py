@@ -90,7 +90,9 @@ def test_every_scheme_refuses_every_other_system_and_names_those_that_accept_it(
     assert {entry.name for entry in SCHEMES} >= set(INTEGRATES)
     assert set(KINDS) > set(FITTING)
     accept = [entry.name for entry in SCHEMES if isinstance(system, entry.accepts)]
-    few = FITTING.get(kind, " or ".join(accept) if len(accept) <= 3 else "")
+    new = set(accept) - {name for names in FITTING.values() for name in names.split(" or ")} - set(INTEGRATES)
+    few = sorted(new.union(FITTING[kind].split(" or ")) if kind in FITTING else accept)
+    few = " or ".join(few if len(few) <= 3 else [])
     for entry, make in SCHEMES.items():
         if isinstance(system, entry.accepts):
             changed = li.pytree(type("Changed", (Doubled, type(system)), {}))(

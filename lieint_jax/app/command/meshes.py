@@ -183,7 +183,7 @@ class Part(Table):
     ellipsoid: PositiveTriple | None = None
     """Semi-axes along x, y and z."""
     position: Triple = Field([0.0, 0.0, 0.0])
-    """Of its center."""
+    """The position of its center."""
     euler_313_deg: Triple = Field([0.0, 0.0, 0.0])
     """Attitude R_z(α) R_x(β) R_z(γ), in degrees."""
     density: PositiveFloat = 1.0

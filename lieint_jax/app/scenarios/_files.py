@@ -168,7 +168,7 @@ class ObservationFile(FromFile):
     angular_velocity: Annotated[list[str], Field(min_length=3, max_length=3)] = ["wx", "wy", "wz"]
     """Three columns, in the axes of the body."""
     units: dict[Literal["time", "rates"], str] = {}
-    """Of time "s", "ms", …, of rates "rad/s", "deg/s" or "rpm"; by default s and rad/s."""
+    """Units of time, "s", "ms", …, and of rates, "rad/s", "deg/s" or "rpm"; by default s and rad/s."""
     scalar: Literal["first", "last"] = "first"
     """Where the scalar part of the quaternion is."""
     frame: Literal["body_to_space", "space_to_body"] = "body_to_space"

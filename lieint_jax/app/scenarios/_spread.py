@@ -1,9 +1,9 @@
-"""Numbers of a scenario that differ between members: the numbers that `[spread]` may name, and their values.
+"""Parameters that vary between members: which ones `[spread]` may name, and the drawn values.
 
 The key of a number in `[spread]` is its path in the scenario, such as `inertia` or `orbit.eccentricity`; a table of a
 list is named by its `name` or counted from 1. The value is a standard deviation in the unit of the number, one for all
-components or one each; with the suffix `_percent` it is relative to the number. Deviations are normal. A value that the
-scenario itself could not have is drawn again, so that every member is a system that a file could describe.
+components or one each; with the suffix `_percent` it is relative to the number. Deviations are normal. Invalid draws
+are repeated, so that every member is a valid scenario.
 """
 
 from __future__ import annotations

@@ -363,7 +363,7 @@ def _name(found: SatelliteFit, frequency: float) -> str:
 
 
 def _split_names(found: SatelliteFit) -> list[tuple[str, str]]:
-    """Of each change the change in space, and the new names of the axes."""
+    """The change in space of each change, and the new names of the axes."""
     parts = (change.name.partition(", axes ") for change in found.changes)
     return [(space, axes or "xyz") for space, _, axes in parts]
 

@@ -66,7 +66,7 @@ def _elementwise(equation: JaxprEqn, axes: Axes) -> tuple[Axes, Axes]:
 
 
 def _with_moved_axis(place: Callable[[int, dict[str, Any], tuple[int, ...]], int | None]) -> _Rule:
-    """Of one operand: the axis of the results from (that of the operand, parameters, its shape); None if not parallel.
+    """A rule for one operand: (its axis, parameters, its shape) ↦ the axis of the results; None if not parallel.
 
     Other operands are the same for all rows.
     """

@@ -1,4 +1,4 @@
-"""What the description of a run must have, and which arrays belong together."""
+"""Schema of a stored run: required keys, and the shapes that its arrays must share."""
 
 from __future__ import annotations
 
