@@ -10,7 +10,7 @@ import uuid
 from concurrent.futures import BrokenExecutor
 from functools import lru_cache, partial
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any, Literal, Protocol, Unpack, overload
 
 import jax
 import numpy as np
@@ -18,12 +18,13 @@ import numpy as np
 from lieint_jax._checks import count
 from lieint_jax.runs import processes
 from lieint_jax.runs._execute import Bar, warn_of_failures
-from lieint_jax.runs._job import MakeStates
-from lieint_jax.runs._make_run import run, untransformed
+from lieint_jax.runs._job import MakeStates, MemberSummary, Summary
+from lieint_jax.runs._loop import Reduction
+from lieint_jax.runs._make_run import OptionsOfParts, run, untransformed
 from lieint_jax.runs._run import Run, stored_run
 from lieint_jax.runs.store._reading import read_run
 from lieint_jax.runs.store._storage import StoreOptions, address
-from lieint_jax.types import State, Step
+from lieint_jax.types import State, Step, Trajectory
 
 _PAUSE = 0.05  # seconds between two looks at the tasks
 _OWN = ("mesh", "part", "progress", "resume")  # arguments of `run` that each task has for itself
@@ -36,6 +37,51 @@ class Executor(Protocol):
         """The future of a call, with the methods `done`, `result` and `cancel`."""
 
 
+@overload
+def submit(
+    step: Step,
+    states: State | MakeStates,
+    dt: float | None = ...,
+    num_steps: int | None = ...,
+    *,
+    parts: int,
+    executor: Executor,
+    store: str | Path | StoreOptions,
+    progress: bool = ...,
+    reduce: None = ...,
+    **options: Unpack[OptionsOfParts],
+) -> Run[Trajectory, None]: ...
+@overload
+def submit(
+    step: Step,
+    states: State | MakeStates,
+    dt: float | None = ...,
+    num_steps: int | None = ...,
+    *,
+    parts: int,
+    executor: Executor,
+    store: str | Path | StoreOptions,
+    progress: bool = ...,
+    reduce: Reduction | Literal["energy"],
+    per: None = ...,
+    **options: Unpack[OptionsOfParts],
+) -> Run[None, Summary]: ...
+@overload
+def submit(
+    step: Step,
+    states: State | MakeStates,
+    dt: float | None = ...,
+    num_steps: int | None = ...,
+    *,
+    parts: int,
+    executor: Executor,
+    store: str | Path | StoreOptions,
+    progress: bool = ...,
+    reduce: Reduction | Literal["energy"],
+    per: Literal["member"],
+    first: Reduction | None = ...,
+    **options: Unpack[OptionsOfParts],
+) -> Run[None, MemberSummary]: ...
 @untransformed("li.submit")
 def submit(
     step: Step,
