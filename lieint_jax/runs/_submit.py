@@ -123,6 +123,7 @@ def submit(
             task returns it instead of raising it, so that no engine repeats it; parts that have not begun are canceled.
         processes.LostProcess: parts whose workers were lost, or which failed for a reason that may pass, such as a full
             disk, after all others have ended. Call again to compute them.
+        KeyboardInterrupt: interrupted; parts that have not begun are canceled. Call again to compute the rest.
 
     Warns:
         RuntimeWarning: as `li.run`, of members that fail to converge.
@@ -206,6 +207,11 @@ def _wait(tasks: dict[int, Any], failed: dict[int, Exception], parts: int, shown
                         raise processes.PermanentError(f"part {k} of {parts}: {message}")
                     bar.update(1)
                 time.sleep(_PAUSE)
+    except KeyboardInterrupt:
+        done = parts - len(tasks) - len(failed)
+        raise KeyboardInterrupt(
+            f"stopped after {done} of {parts} parts; what is in the store is kept, to continue"
+        ) from None
     finally:
         for task in tasks.values():
             task.cancel()

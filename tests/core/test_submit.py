@@ -159,6 +159,19 @@ def test_a_pool_that_breaks_while_parts_are_submitted_is_a_lost_worker_and_other
         begun[0].result(0)
 
 
+def test_an_interrupt_states_what_is_complete_and_the_same_call_computes_the_rest(tmp_path):
+    class Interrupted(Engine):  # as by Ctrl-C while the second part runs
+        def submit(self, task, k, parts):
+            if k != 1:
+                return super().submit(task, k, parts)
+            looks = iter([lambda: False, lambda: signal.raise_signal(signal.SIGINT)])
+            return SimpleNamespace(done=lambda: next(looks)(), cancel=lambda: None)
+
+    with pytest.raises(KeyboardInterrupt, match="stopped after 2 of 3 parts; what is in the store is kept"):
+        submit(tmp_path / "run.zarr", Interrupted())
+    assert_same(submit(tmp_path / "run.zarr", Engine()).state, li.run(STEP, STATES, **OPTIONS).state)
+
+
 def test_a_part_that_another_process_writes_may_be_repeated(tmp_path):
     submit(tmp_path / "run.zarr", Engine())
     lock = li.ensemble.archives.open_storage(tmp_path / "run.zarr").lock("parts/1")
