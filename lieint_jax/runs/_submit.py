@@ -27,6 +27,8 @@ from lieint_jax.runs.store._storage import StoreOptions, address
 from lieint_jax.types import State, Step, Trajectory
 
 _PAUSE = 0.05  # seconds between two looks at the tasks
+# of the caller's functions, or a package that the workers lack: a part that is repeated raises them again
+_MISTAKES = (ArithmeticError, AssertionError, AttributeError, ImportError, LookupError, NameError, NotImplementedError)
 _OWN = ("mesh", "part", "progress", "resume")  # arguments of `run` that each task has for itself
 
 
@@ -119,8 +121,9 @@ def submit(
 
     Raises:
         TypeError: an argument that `li.run` does not have; no method `submit`; inside of jit, vmap, grad or jvp.
-        processes.PermanentError: a part fails for a reason that stays, one of those of the ValueError of `li.run`. The
-            task returns it instead of raising it, so that no engine repeats it; parts that have not begun are canceled.
+        processes.PermanentError: a part fails for a reason that stays: one of those of the ValueError of `li.run`, a
+            mistake in a function of yours, a package that the workers lack. The task returns it instead of raising it,
+            so that no engine repeats it; parts that have not begun are canceled.
         processes.LostProcess: parts whose workers were lost, or which failed for a reason that may pass, such as a full
             disk, after all others have ended. Call again to compute them.
         KeyboardInterrupt: interrupted; parts that have not begun are canceled. Call again to compute the rest.
@@ -158,6 +161,8 @@ def _run_part(call: bytes, precision: bool, k: int, parts: int) -> str | None:
             run(step, states, part=(k, parts), progress=False, **options)
         except (TypeError, ValueError) as error:
             return str(error)
+        except _MISTAKES as error:
+            return f"{type(error).__name__}: {error}"
     return None
 
 
