@@ -222,7 +222,8 @@ def _wait(tasks: dict[int, Any], failed: dict[int, Exception], parts: int, shown
             task.cancel()
     if failed:
         k, error = min(failed.items(), key=lambda item: item[0])
+        first = str(error).partition("\n")[0].rstrip(".")
         raise processes.LostProcess(
-            f"{len(failed)} of {parts} part(s) did not finish. Part {k}: {type(error).__name__}: "
-            f"{str(error).partition(chr(10))[0]} What is in the store is kept: the same call computes the rest"
+            f"{len(failed)} of {parts} part(s) did not finish. Part {k}: {type(error).__name__}: {first}. "
+            "What is in the store is kept: the same call computes the rest"
         ) from error
