@@ -102,8 +102,8 @@ def test_an_error_that_stays_is_not_repeated_and_ends_the_run(tmp_path):
     ):
         submit(tmp_path / "run.zarr", engine, dt=100.0)
     assert engine.calls == [0, 1, 2]
-    for mistake, name in ((lambda n: n.shpae, "AttributeError"), (lambda n: __import__("gone"), "ModuleNotFoundError")):
-        with pytest.raises(processes.PermanentError, match=f"part 0 of 3: {name}: .*(shpae|gone)"):
+    for mistake, name in ((lambda n: n.lost, "AttributeError"), (lambda n: __import__("gone"), "ModuleNotFoundError")):
+        with pytest.raises(processes.PermanentError, match=f"part 0 of 3: {name}: .*(lost|gone)"):
             submit(tmp_path / "mistake.zarr", Engine(), states=mistake, members=12)
     for arguments, message in ((dict(parts=13), "at most 12 part"), (dict(save_every=7), "multiple of save_every")):
         with pytest.raises(processes.PermanentError, match=message):
