@@ -49,7 +49,10 @@ def describe(path: str | PathLike[str]) -> str:
     form = identify(path)
     if form not in FORMATS:
         known = ", ".join(FORMATS)
-        raise ValueError(f"{path} has none of the formats {known}; lieint info describes the results of lieint run")
+        raise ValueError(
+            f"{path} has none of the formats {known}; lieint run runs a scenario, a .toml, and lieint info describes "
+            "the results"
+        )
     what, contents, reader, key = FORMATS[form]
     lines = [f"{path}: {what}", *contents(path), "in Python: li.files." + reader.replace("{}", f'"{path.name}"')]
     if key is not None:

@@ -49,4 +49,5 @@ def identify(path: str | Path) -> str:
     if name.endswith(shapes.ENDINGS):
         return "shape"
     rows = [line for line in text.split("\n") if line.strip() and not line.lstrip().startswith("#")]
-    return "table" if len(rows) > 1 and _TABLE.match(rows[0]) else ""
+    named = len(rows) > 1 and _TABLE.match(rows[0]) and not name.endswith(".toml")
+    return "table" if named else ""

@@ -50,22 +50,27 @@ def untransformed(name: str) -> Callable[[_F], _F]:
     return decorate
 
 
-class _Options(TypedDict, total=False):
-    """The arguments of `run` on which the type of its result does not depend."""
+class OptionsOfParts(TypedDict, total=False):
+    """The arguments of `run` that `submit` has too, and on which the type of the result does not depend."""
 
     save_every: int | None
     own_step: bool
-    mesh: Mesh | None
-    store: str | Path | StoreOptions | None
-    progress: bool
-    resume: bool
     times: ArrayLike | None
     save_at: ArrayLike | None
-    part: tuple[int, int] | Literal["auto"] | None
     members: int | None
     threads: int | None
     same_bits: bool
     epoch: DateLike | None
+
+
+class _Options(OptionsOfParts, total=False):
+    """Those of `run` alone."""
+
+    mesh: Mesh | None
+    store: str | Path | StoreOptions | None
+    progress: bool
+    resume: bool
+    part: tuple[int, int] | Literal["auto"] | None
 
 
 @overload

@@ -370,3 +370,102 @@ def run_of_saves(step: Step, saves: Saves, facts: Facts, start: State | None = N
     shown = (found, None) if isinstance(found, Trajectory) else (None, found)
     kind: Any = StoredRun if facts.source else Run
     return kind(step, start, *shown, failed, *(given or [None] * 3), facts)
+<<<<<<< HEAD
+=======
+
+
+def compute(
+    step: Step,
+    states: State | MakeStates,
+    dt: float | None,
+    num_steps: int | None,
+    *,
+    mesh: Mesh | None = None,
+    store: str | Path | StoreOptions | None = None,
+    progress: bool = True,
+    resume: bool = False,
+    part: tuple[int, int] | Literal["auto"] | None = None,
+    members: int | None = None,
+    threads: int | None = None,
+    same_bits: bool = True,
+    earlier: Saves | None = None,
+    **description: Any,
+) -> Run:
+    """The run of these arguments; states have the member axis also if it is of one body.
+
+    Args:
+        step, states, dt, num_steps, mesh, store, progress, resume, part, members, threads, same_bits: as in `li.run`.
+        earlier: the saves in memory of a run that this one continues.
+        description: further arguments of `checked_job`.
+    """
+    if resume and store is None:
+        raise ValueError("resume continues a run in a store; pass store=PATH.zarr")
+    k, count = (0, 1) if part is None else part_of_task() if part == "auto" else checked_part(part)
+    threads = threads if threads is None else _checks.count("threads", threads, 1)
+    given, mesh = mesh, _layout.checked_mesh(mesh)
+    threads = threads or (_layout.count_cores() if given is None else len(mesh.local_devices))
+    options = None if store is None else StoreOptions.of(store)
+    in_parts, remote = part is not None and count > 1, options is not None and isinstance(address(options.path), Url)
+    if (in_parts or remote) and _layout.count_processes(mesh) > 1:
+        raise ValueError("part and stores in object storage are for independent processes, without jax.distributed")
+    description |= {"dt": dt, "num_steps": num_steps, "store": store}
+    made = made_states(states, members)
+    with _checks.on_host():
+        whole, job = make_jobs(step, states, made, (k, count) if in_parts else None, remote, description)
+    engine = engine_of(job, mesh, threads)
+
+    with processes.name_lost(mesh) if jax.process_count() > 1 else contextlib.nullcontext():
+        if options is None:
+            if _layout.count_processes(mesh) > 1:
+                _identity.check_processes(mesh, _identity.description(job, engine.name), store=None, resume=False)
+            layout = _layout.layout_of(mesh, job.members)
+            saves = execute(engine, layout, MemoryOutput(job, layout, earlier), progress)
+            assert saves is not None
+            start = job.initial if job.reduction is not None else None
+            functions = [None if f is None else callable_pytree(f) for f in (job.reduction, job.condition)]
+            times = job.clock.times if isinstance(job.clock, GridClock) else None
+            return _make_run(job.step, saves, Facts.of_job(job, engine.name), start, *functions, times)
+        saves = run_into_store(
+            job,
+            engine.name,
+            options,
+            lambda layout, output: execute(engine, layout, output, progress),
+            whole=whole,
+            mesh=mesh,
+            part=(k, count) if in_parts else (0, 1),
+            in_parts=in_parts or remote,
+            resume=resume or part is not None,
+            same_bits=same_bits,
+        )
+    return stored_run(str(options.path), saves, job.step)
+
+
+def write(job: Job, engine: str, saves: Saves, store: str | Path | StoreOptions) -> Saves:
+    """The run of these saves, which an engine of this name computed, written into a new store: all of it or nothing."""
+    options = StoreOptions.of(store)
+    path = checked_path(options.path)
+    if isinstance(path, Url):
+        raise ValueError(f"a run is saved to a folder NAME.zarr; li.run(…, store={str(path)!r}) writes to a bucket")
+    if path.exists():
+        raise ValueError(f"{path.name} exists and is not overwritten: choose another path")
+    unfinished = path.with_name(f".{path.name}.{os.getpid()}.zarr")
+    try:
+        hidden, mesh = options._replace(path=unfinished), _layout.checked_mesh(None)
+        run_into_store(job, engine, hidden, partial(_feed, job, saves), whole=job, mesh=mesh)
+        os.rename(unfinished, path)
+    finally:
+        shutil.rmtree(unfinished, ignore_errors=True)
+    return read_written(path)
+
+
+def _feed(job: Job, saves: Saves, _: Layout, output: StoreOutput) -> None:
+    """Give an output all saves of a run. Its checkpoints are of the end, for nobody resumes an unfinished copy."""
+    rows, carry = rows_and_carry(job, saves)
+    saved = 0
+    while saved <= job.num_saves:
+        number = min(output.free_rows, job.num_saves + 1 - saved)
+        output.append(jax.tree.map(lambda x: np.asarray(x)[saved : saved + number], rows), number)  # noqa: B023
+        saved += number
+        output.checkpoint(carry, int(job.nodes[saved - 1]), 0.0, stop=False)
+    output.result(carry)
+>>>>>>> 47d64aad57462489a02afbd626c68f4b7d4b91f1

@@ -10,7 +10,7 @@ import uuid
 from concurrent.futures import BrokenExecutor
 from functools import lru_cache, partial
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any, Literal, Protocol, Unpack, overload
 
 import jax
 import numpy as np
@@ -18,14 +18,17 @@ import numpy as np
 from lieint_jax._checks import count
 from lieint_jax.runs import processes
 from lieint_jax.runs._execute import Bar, warn_of_failures
-from lieint_jax.runs._job import MakeStates
-from lieint_jax.runs._make_run import run, untransformed
+from lieint_jax.runs._job import MakeStates, MemberSummary, Summary
+from lieint_jax.runs._loop import Reduction
+from lieint_jax.runs._make_run import OptionsOfParts, run, untransformed
 from lieint_jax.runs._run import Run, stored_run
 from lieint_jax.runs.store._reading import read_run
 from lieint_jax.runs.store._storage import StoreOptions, address
-from lieint_jax.types import State, Step
+from lieint_jax.types import State, Step, Trajectory
 
 _PAUSE = 0.05  # seconds between two looks at the tasks
+# of the caller's functions, or a package that the workers lack: a part that is repeated raises them again
+_MISTAKES = (ArithmeticError, AssertionError, AttributeError, ImportError, LookupError, NameError, NotImplementedError)
 _OWN = ("mesh", "part", "progress", "resume")  # arguments of `run` that each task has for itself
 
 
@@ -36,6 +39,51 @@ class Executor(Protocol):
         """The future of a call, with the methods `done`, `result` and `cancel`."""
 
 
+@overload
+def submit(
+    step: Step,
+    states: State | MakeStates,
+    dt: float | None = ...,
+    num_steps: int | None = ...,
+    *,
+    parts: int,
+    executor: Executor,
+    store: str | Path | StoreOptions,
+    progress: bool = ...,
+    reduce: None = ...,
+    **options: Unpack[OptionsOfParts],
+) -> Run[Trajectory, None]: ...
+@overload
+def submit(
+    step: Step,
+    states: State | MakeStates,
+    dt: float | None = ...,
+    num_steps: int | None = ...,
+    *,
+    parts: int,
+    executor: Executor,
+    store: str | Path | StoreOptions,
+    progress: bool = ...,
+    reduce: Reduction | Literal["energy"],
+    per: None = ...,
+    **options: Unpack[OptionsOfParts],
+) -> Run[None, Summary]: ...
+@overload
+def submit(
+    step: Step,
+    states: State | MakeStates,
+    dt: float | None = ...,
+    num_steps: int | None = ...,
+    *,
+    parts: int,
+    executor: Executor,
+    store: str | Path | StoreOptions,
+    progress: bool = ...,
+    reduce: Reduction | Literal["energy"],
+    per: Literal["member"],
+    first: Reduction | None = ...,
+    **options: Unpack[OptionsOfParts],
+) -> Run[None, MemberSummary]: ...
 @untransformed("li.submit")
 def submit(
     step: Step,
@@ -73,10 +121,12 @@ def submit(
 
     Raises:
         TypeError: an argument that `li.run` does not have; no method `submit`; inside of jit, vmap, grad or jvp.
-        processes.PermanentError: a part fails for a reason that stays, one of those of the ValueError of `li.run`. The
-            task returns it instead of raising it, so that no engine repeats it; parts that have not begun are canceled.
+        processes.PermanentError: a part fails for a reason that stays: one of those of the ValueError of `li.run`, a
+            mistake in a function of yours, a package that the workers lack. The task returns it instead of raising it,
+            so that no engine repeats it; parts that have not begun are canceled.
         processes.LostProcess: parts whose workers were lost, or which failed for a reason that may pass, such as a full
             disk, after all others have ended. Call again to compute them.
+        KeyboardInterrupt: interrupted; parts that have not begun are canceled. Call again to compute the rest.
 
     Warns:
         RuntimeWarning: as `li.run`, of members that fail to converge.
@@ -115,6 +165,8 @@ def _run_part(call: bytes, precision: bool, k: int, parts: int) -> str | None:
             run(step, states, part=(k, parts), progress=False, **options)
         except (TypeError, ValueError) as error:
             return str(error)
+        except _MISTAKES as error:
+            return f"{type(error).__name__}: {error}"
     return None
 
 
@@ -155,12 +207,18 @@ def _wait(tasks: dict[int, Any], failed: dict[int, Exception], parts: int, shown
                         raise processes.PermanentError(f"part {k} of {parts}: {message}")
                     bar.update(1)
                 time.sleep(_PAUSE)
+    except KeyboardInterrupt:
+        done = parts - len(tasks) - len(failed)
+        raise KeyboardInterrupt(
+            f"stopped after {done} of {parts} parts; what is in the store is kept, to continue"
+        ) from None
     finally:
         for task in tasks.values():
             task.cancel()
     if failed:
         k, error = min(failed.items(), key=lambda item: item[0])
+        first = str(error).partition("\n")[0].rstrip(".")
         raise processes.LostProcess(
-            f"{len(failed)} of {parts} part(s) did not finish. Part {k}: {type(error).__name__}: "
-            f"{str(error).partition(chr(10))[0]} What is in the store is kept: the same call computes the rest"
+            f"{len(failed)} of {parts} part(s) did not finish. Part {k}: {type(error).__name__}: {first}. "
+            "What is in the store is kept: the same call computes the rest"
         ) from error

@@ -25,7 +25,7 @@ class LostProcess(RuntimeError):  # noqa: N818
 
 
 class PermanentError(ValueError):
-    """A part of a run fails however often it is started: an argument is wrong, or the first step of a member fails."""
+    """A part of a run fails however often it is started: a wrong argument, or a mistake in a function of yours."""
 
 
 def initialize(coordinator: str | None = None, count: int | None = None, index: int | None = None) -> None:

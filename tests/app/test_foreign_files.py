@@ -165,6 +165,15 @@ def test_a_file_is_described(file, parts, lieint):
 def test_a_file_of_no_format_is_refused(lieint):
     Path("noise.bin").write_bytes(bytes(range(256)))
     assert "noise.bin has none of the formats OEM, AEM" in lieint.refuse("files", "noise.bin")
+    Path("my.toml").write_text('title = "My body"\nsystem = "rigid_body"\n')  # "table" before, as a CSV with two words
+    assert "lieint run runs a scenario" in lieint.refuse("files", "my.toml")
+
+
+def test_files_before_one_that_is_refused_are_described(lieint, capsys):
+    assert cli.main(["files", "box.obj", "nothing.oem"]) == 2
+    out, err = capsys.readouterr()
+    assert "box.obj: a surface of triangles" in out
+    assert "there is no file nothing.oem" in err
 
 
 @pytest.mark.long

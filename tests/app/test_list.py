@@ -28,6 +28,12 @@ def test_the_list_of_a_catalogue_is_the_catalogue(lieint):
     assert tuple(listing.CATALOGUES) == ("schemes", "systems")
 
 
+def test_the_list_of_a_scenario_is_its_file(lieint, tmp_path):
+    (tmp_path / "my.toml").write_text(lieint("list", "toutatis"), encoding="utf-8")
+    assert scenarios.table(str(tmp_path / "my.toml")) == scenarios.table("toutatis")
+    assert "there is no scenario 'tuotatis': did you mean toutatis?" in lieint.refuse("list", "tuotatis")
+
+
 @pytest.mark.long
 def test_the_list_has_every_measured_cost_and_marks_the_others():
     """`python benchmarks/commands.py --only "run NAME"` times a command."""

@@ -13,7 +13,9 @@ from documents import blocks
 ROOT = Path(__file__).parents[2]
 [(_, FIRST_STEPS), *_] = blocks((ROOT / "README.md").read_text(encoding="utf-8"), "python")
 SCRIPT = f"""
+from concurrent.futures import ThreadPoolExecutor
 {FIRST_STEPS}
+pool = ThreadPoolExecutor(2)
 top = li.systems.heavy_top([5.0, 5.0, 1.0], weight=[0.0, 0.0, 20.0])
 certificate = li.diagnostics.certify(step, state, dt=0.05, num_steps=1000)
 in_bath = li.schemes.langevin(body, temperature=1.0, friction=[0.1, 0.1, 0.2])

@@ -112,10 +112,10 @@ def test_errors_of_scenario_files_print_no_control_characters(capsys):
 def test_names_of_files_and_arguments_print_no_control_characters(capsys):
     odd = "a\x1b[2J\u202e\nb"
     Path(f"{odd}.npz").write_bytes(b"no archive")
-    for arguments in (["info", f"{odd}.npz"], ["run", odd], ["check", odd]):
+    for arguments in (["info", f"{odd}.npz"], ["run", odd], ["check", odd], ["list", odd]):
         assert shown(capsys, *arguments)[0] == 2
     with pytest.raises(SystemExit):
-        cli.main(["list", odd])
+        cli.main(["list", "toutatis", odd])
     assert "\x1b" not in capsys.readouterr().err
 
 

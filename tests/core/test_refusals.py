@@ -825,6 +825,8 @@ RUNS = [
     (lambda: ensemble(reduce=lambda z: z.q[0]), r"\(step, state\) ↦ scalar: too many positional arguments"),
     (lambda: ensemble(reduce=lambda step, z, k: z.q[0]), r"\(step, state\) ↦ scalar: missing a required argument: 'k'"),
     (lambda: batch(copies(STATE, 5), own_step=True), r"a step for each of 5 members.*leaves of shapes \(3,\)"),
+    *rows(lambda x: batch(copies(STATE), threads=x), "threads must be an integer ≥ 1", 0, 2.5, "2"),
+    (lambda: batch(copies(STATE), mesh="members"), "mesh must be a jax.sharding.Mesh of one axis"),
     (lambda: li.run(STEP, STATE, 0.5, 6, epoch="noon", progress=False), "must be as in"),
     (lambda: li.run(STEP, STATE, 0.5, 6, epoch=5.0, progress=False), "year below 1"),
     (lambda: li.run(STEP, STATE, 0.5, 6, epoch="2024-03-01 EST", progress=False), "scale of a date"),

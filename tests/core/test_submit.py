@@ -102,6 +102,9 @@ def test_an_error_that_stays_is_not_repeated_and_ends_the_run(tmp_path):
     ):
         submit(tmp_path / "run.zarr", engine, dt=100.0)
     assert engine.calls == [0, 1, 2]
+    for mistake, name in ((lambda n: n.lost, "AttributeError"), (lambda n: __import__("gone"), "ModuleNotFoundError")):
+        with pytest.raises(processes.PermanentError, match=f"part 0 of 3: {name}: .*(lost|gone)"):
+            submit(tmp_path / "mistake.zarr", Engine(), states=mistake, members=12)
     for arguments, message in ((dict(parts=13), "at most 12 part"), (dict(save_every=7), "multiple of save_every")):
         with pytest.raises(processes.PermanentError, match=message):
             submit(tmp_path / "other.zarr", Engine(), **arguments)
@@ -135,7 +138,7 @@ def test_lost_workers_are_replaced_by_the_engine_or_named_and_the_same_call_comp
     whole = li.run(STEP, made, members=12, **OPTIONS)
     engine = Engine(retries=1, lost=[1, 2, 2])
     options = dict(states=made, members=12)
-    with pytest.raises(processes.LostProcess, match=r"1 of 3 .* Part 2: ConnectionError: the worker is gone W"):
+    with pytest.raises(processes.LostProcess, match=r"1 of 3 .* Part 2: ConnectionError: the worker is gone\. What"):
         submit(tmp_path / "run.zarr", engine, **options)
     assert engine.calls == [0, 1, 1, 2, 2]
     assert_same(submit(tmp_path / "run.zarr", Engine(), **options).state, whole.state)
@@ -157,6 +160,19 @@ def test_a_pool_that_breaks_while_parts_are_submitted_is_a_lost_worker_and_other
         submit(tmp_path / "other.zarr", full)
     with pytest.raises(CancelledError):
         begun[0].result(0)
+
+
+def test_an_interrupt_states_what_is_complete_and_the_same_call_computes_the_rest(tmp_path):
+    class Interrupted(Engine):  # as by Ctrl-C while the second part runs
+        def submit(self, task, k, parts):
+            if k != 1:
+                return super().submit(task, k, parts)
+            looks = iter([lambda: False, lambda: signal.raise_signal(signal.SIGINT)])
+            return SimpleNamespace(done=lambda: next(looks)(), cancel=lambda: None)
+
+    with pytest.raises(KeyboardInterrupt, match="stopped after 2 of 3 parts; what is in the store is kept"):
+        submit(tmp_path / "run.zarr", Interrupted())
+    assert_same(submit(tmp_path / "run.zarr", Engine()).state, li.run(STEP, STATES, **OPTIONS).state)
 
 
 def test_a_part_that_another_process_writes_may_be_repeated(tmp_path):

@@ -188,7 +188,7 @@ def _report_waiting(what: str) -> Iterator[None]:
 def _list(options: argparse.Namespace) -> None:
     from lieint_jax.app.command import list as listing
 
-    show(listing.text(options.catalogue))
+    show(listing.text(options.name))
 
 
 def _info(options: argparse.Namespace) -> None:
@@ -245,7 +245,8 @@ def _check(options: argparse.Namespace) -> None:
 def _files(options: argparse.Namespace) -> None:
     from lieint_jax import files
 
-    show("\n".join(map(files.describe, options.paths)))
+    for path in options.paths:  # one by one: an error leaves those before it on the screen
+        show(files.describe(path))
 
 
 def _figure(options: argparse.Namespace) -> None:

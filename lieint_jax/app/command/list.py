@@ -40,11 +40,13 @@ def announce(name: str) -> None:
         show(f"expected time on two cores: {first}, and {again} from the second run on")
 
 
-def text(catalogue: str | None = None) -> str:
-    """The scenarios and studies, or the catalogue of a name of `CATALOGUES`, as text."""
-    if catalogue is not None:
-        return repr(CATALOGUES[catalogue]())
-    lines = ["scenarios: lieint run NAME, or your own file"]
+def text(name: str | None = None) -> str:
+    """The scenarios and studies, a catalogue of `CATALOGUES`, or the file of a shipped scenario, as text."""
+    if name in CATALOGUES:
+        return repr(CATALOGUES[name]())
+    if name is not None:
+        return scenarios.shipped_file(name).rstrip()
+    lines = ["scenarios: lieint run NAME, or your own file; lieint list NAME prints its file, to copy and change"]
     for name in scenarios.scenario_names():
         about, size = describe(scenarios.load(name))
         lines += _entry(name, about, f"{size}; {describe_cost(f'run {name}')}")

@@ -209,14 +209,29 @@ def table(name: str) -> dict[str, Any]:
     """The keys of the scenario shipped under `name`, or in the file `name`, unchecked; ValueError if there is none."""
     path = Path(name)
     if name in scenario_names():
-        return archives.read_toml(resources.files(__name__).joinpath(f"{name}.toml"), name)
+        return archives.read_toml(_place_of_shipped(name), name)
     if not path.is_file():
         if path.suffix or len(path.parts) > 1:
             raise ValueError(f"there is no file {name}; `lieint list` shows the scenarios that need no file")
-        near = difflib.get_close_matches(name, scenario_names(), 1)
-        meant = f"did you mean {near[0]}? " if near else ""
-        raise ValueError(f"there is no scenario {name!r}: {meant}`lieint list` shows all; or give a .toml file")
+        raise ValueError(f"{_unknown_scenario(name)}; or give a .toml file")
     return archives.read_toml(path, name)
+
+
+def shipped_file(name: str) -> str:
+    """The text of the file of a shipped scenario; ValueError if there is none of this name."""
+    if name not in scenario_names():
+        raise ValueError(_unknown_scenario(name))
+    return _place_of_shipped(name).read_text(encoding="utf-8")
+
+
+def _place_of_shipped(name: str) -> Any:
+    return resources.files(__name__).joinpath(f"{name}.toml")
+
+
+def _unknown_scenario(name: str) -> str:
+    near = difflib.get_close_matches(name, scenario_names(), 1)
+    meant = f"did you mean {near[0]}? " if near else ""
+    return f"there is no scenario {name!r}: {meant}`lieint list` shows all"
 
 
 def _model_of(model: Any, key: str) -> Any:

@@ -143,7 +143,7 @@ def _find_object(name: str, own: Mapping[str, object]) -> Any:
         found = _import_own(candidate) or getattr(_import_own(module), attribute, None)
         if found is not None and _is_ours(found):
             return found
-    raise UnknownNameError(f"{name!r} does not belong to this package: pass it as own={{{name!r}: …}}")
+    raise UnknownNameError(f"{name!r} does not belong to this package: pass it as own={{{name!r}: …}} to li.open")
 
 
 def _present_names(name: str) -> Iterator[str]:
