@@ -59,8 +59,9 @@ def compute(
     if resume and store is None:
         raise ValueError("resume continues a run in a store; pass store=PATH.zarr")
     k, count = (0, 1) if part is None else part_of_task() if part == "auto" else checked_part(part)
-    threads = threads or (None if mesh is None else len(mesh.local_devices))
-    mesh = _layout.checked_mesh(mesh)
+    threads = threads if threads is None else _checks.count("threads", threads, 1)
+    given, mesh = mesh, _layout.checked_mesh(mesh)
+    threads = threads or (_layout.count_cores() if given is None else len(mesh.local_devices))
     options = None if store is None else StoreOptions.of(store)
     in_parts, remote = part is not None and count > 1, options is not None and isinstance(address(options.path), Url)
     if (in_parts or remote) and _layout.count_processes(mesh) > 1:
@@ -69,7 +70,7 @@ def compute(
     made = made_states(states, members)
     with _checks.on_host():
         whole, job = make_jobs(step, states, made, (k, count) if in_parts else None, remote, description)
-    engine = engine_of(job, mesh, threads or _layout.count_cores())
+    engine = engine_of(job, mesh, threads)
 
     with processes.name_lost(mesh) if jax.process_count() > 1 else contextlib.nullcontext():
         if options is None:

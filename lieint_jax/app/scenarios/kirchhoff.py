@@ -114,10 +114,10 @@ class Kirchhoff(Kind):
         left, right = axes
         last = f"member {self.members - 1}" if self.members > 1 else "nominal member"
         members = {"nominal member": run.member(0), last: run.member(-1)}
-        paths = {name: self.drawn(one).state.q for name, one in members.items()}
+        paths = {name: np.asarray(self.drawn(one).state.q) for name, one in members.items()}
         draw_paths(left, {name: q[:, :3, 3] for name, q in paths.items()})
         left.set_title(f"path of the center to t = {run.t[-1]:.4g} {self.time_unit}, in the unit of the semi-axes")
-        q, P = np.asarray(paths[last]), np.asarray(run.state.p[0, -1, 3:])
+        q, P = paths[last], np.asarray(run.state.p[0, -1, 3:])
         pole = P / np.linalg.norm(P) if P.any() else None
         eye = q[0, :3, 2] + 0.5 * q[0, :3, 0]
         plots.sphere_path(right, q[:, :3, 2], pole, eye=eye, pole_label="direction of the impulse")
