@@ -20,7 +20,6 @@ from lieint_jax.runs._clock import (
     splits,
     uniform_clock,
 )
-from lieint_jax.runs._compute import compute
 from lieint_jax.runs._driver import (
     Reached,
     at_start,
@@ -33,6 +32,7 @@ from lieint_jax.runs._driver import (
     steps,
 )
 from lieint_jax.runs._event import Event, event, events
+from lieint_jax.runs._execute import compute
 from lieint_jax.runs._integrate import (
     Adjoint,
     at_output_times,

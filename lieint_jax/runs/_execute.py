@@ -1,4 +1,4 @@
-"""The loop of a run on the host: calls of compiled code, rows for an output, such as one in memory, and progress."""
+"""Computing a run on the host: its engine, calls of compiled code, rows for an output, and progress."""
 
 from __future__ import annotations
 
@@ -9,24 +9,99 @@ import threading
 import time
 import warnings
 from collections.abc import Iterator
+from pathlib import Path
 from types import FrameType
-from typing import Any, Self
+from typing import Any, Literal, Self
 
 import jax
 import numpy as np
+from jax.sharding import Mesh
 
-from lieint_jax.runs import _layout, _loop
+from lieint_jax import _checks
+from lieint_jax.runs import _layout, _loop, processes
 from lieint_jax.runs._clock import GridClock, more_times
 from lieint_jax.runs._dyadic_sum import block_sums, blocks, total
-from lieint_jax.runs._engine import Engine
-from lieint_jax.runs._job import MAX_NAMED, Job, MemberSummary, Series, Summary, list_members
+from lieint_jax.runs._engine import Engine, engine_of
+from lieint_jax.runs._facts import Facts
+from lieint_jax.runs._job import MAX_NAMED, Job, MakeStates, MemberSummary, Series, Summary, list_members
 from lieint_jax.runs._layout import Layout, Tree
 from lieint_jax.runs._loop import Carry, Given, energy
+from lieint_jax.runs._make_job import made_states, make_jobs
+from lieint_jax.runs._part_of_task import checked_part, part_of_task
+from lieint_jax.runs.store import _identity
+from lieint_jax.runs.store._into_store import run_into_store
 from lieint_jax.runs.store._leaves import Saves
+from lieint_jax.runs.store._storage import StoreOptions, Url, address
 from lieint_jax.runs.store._store_output import StoreOutput
-from lieint_jax.types import StepInfo, System, Trajectory
+from lieint_jax.types import State, Step, StepInfo, System, Trajectory, callable_pytree
 
 _CALL = 0.5  # target duration of a call of the compiled loop, s
+
+
+def compute(
+    step: Step,
+    states: State | MakeStates,
+    dt: float | None,
+    num_steps: int | None,
+    *,
+    mesh: Mesh | None = None,
+    store: str | Path | StoreOptions | None = None,
+    progress: bool = True,
+    resume: bool = False,
+    part: tuple[int, int] | Literal["auto"] | None = None,
+    members: int | None = None,
+    threads: int | None = None,
+    same_bits: bool = True,
+    earlier: Saves | None = None,
+    **description: Any,
+) -> tuple[Any, ...]:
+    """Compute a run, and return the arguments of `run_of_saves`; states have the member axis also if it is of one body.
+
+    Args:
+        step, states, dt, num_steps, mesh, store, progress, resume, part, members, threads, same_bits: as in `li.run`.
+        earlier: the saves in memory of a run that this one continues.
+        description: further arguments of `checked_job`.
+    """
+    if resume and store is None:
+        raise ValueError("resume continues a run in a store; pass store=PATH.zarr")
+    k, count = (0, 1) if part is None else part_of_task() if part == "auto" else checked_part(part)
+    threads = threads if threads is None else _checks.count("threads", threads, 1)
+    given, mesh = mesh, _layout.checked_mesh(mesh)
+    threads = threads or (_layout.count_cores() if given is None else len(mesh.local_devices))
+    options = None if store is None else StoreOptions.of(store)
+    in_parts, remote = part is not None and count > 1, options is not None and isinstance(address(options.path), Url)
+    if (in_parts or remote) and _layout.count_processes(mesh) > 1:
+        raise ValueError("part and stores in object storage are for independent processes, without jax.distributed")
+    description |= {"dt": dt, "num_steps": num_steps, "store": store}
+    made = made_states(states, members)
+    with _checks.on_host():
+        whole, job = make_jobs(step, states, made, (k, count) if in_parts else None, remote, description)
+    engine = engine_of(job, mesh, threads)
+
+    with processes.name_lost(mesh) if jax.process_count() > 1 else contextlib.nullcontext():
+        if options is None:
+            if _layout.count_processes(mesh) > 1:
+                _identity.check_processes(mesh, _identity.description(job, engine.name), store=None, resume=False)
+            layout = _layout.layout_of(mesh, job.members)
+            saves = execute(engine, layout, MemoryOutput(job, layout, earlier), progress)
+            assert saves is not None
+            start = job.initial if job.reduction is not None else None
+            functions = [None if f is None else callable_pytree(f) for f in (job.reduction, job.condition)]
+            times = job.clock.times if isinstance(job.clock, GridClock) else None
+            return job.step, saves, Facts.of_job(job, engine.name), start, *functions, times
+        saves = run_into_store(
+            job,
+            engine.name,
+            options,
+            lambda layout, output: execute(engine, layout, output, progress),
+            whole=whole,
+            mesh=mesh,
+            part=(k, count) if in_parts else (0, 1),
+            in_parts=in_parts or remote,
+            resume=resume or part is not None,
+            same_bits=same_bits,
+        )
+    return job.step, saves, Facts.of_store(str(options.path), saves.attributes)
 
 
 def execute(engine: Engine, layout: Layout, output: MemoryOutput | StoreOutput, progress: bool) -> Saves | None:

@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike
 
 from lieint_jax import _checks
 from lieint_jax.dates import DateLike, text_of
-from lieint_jax.runs._compute import compute
+from lieint_jax.runs._execute import compute
 from lieint_jax.runs._job import MakeStates, MemberSummary, Summary, with_member_axis
 from lieint_jax.runs._loop import Reduction
 from lieint_jax.runs._make_job import check_own_steps, is_batch

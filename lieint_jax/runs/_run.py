@@ -17,12 +17,13 @@ from numpy.typing import ArrayLike
 from lieint_jax import _checks, dates
 from lieint_jax._free_body import Periods
 from lieint_jax.runs import _facts
-from lieint_jax.runs._compute import compute, write
+from lieint_jax.runs._execute import compute
 from lieint_jax.runs._facts import Facts, dates_of, lines
 from lieint_jax.runs._interpolate import interpolate, interpolate_members
 from lieint_jax.runs._job import MemberSummary, Summary, member_of, saves_of_batch, with_member_axis
 from lieint_jax.runs._loop import energy
 from lieint_jax.runs._make_job import checked_job, is_batch
+from lieint_jax.runs._save import write
 from lieint_jax.runs.store._leaves import Saves
 from lieint_jax.runs.store._storage import StoreOptions
 from lieint_jax.types import State, Step, StepInfo, System, Trajectory, callable_pytree, labeled, pytree, static

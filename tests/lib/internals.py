@@ -15,7 +15,7 @@ from lieint_jax import _checks, ensemble
 from lieint_jax._xla import compiled
 from lieint_jax.diagnostics import tangent
 from lieint_jax.native import _kernel, _machine, _march_code, _traced
-from lieint_jax.runs import _compute, _engine, _execute, _facts, _job, _layout, _make_job, _run
+from lieint_jax.runs import _engine, _execute, _facts, _job, _layout, _make_job, _run
 from lieint_jax.runs.store import _bucket, _disk, _identity, _root, _store_output, _writer
 
 _DIFFERENCE = _engine.Engine._difference
@@ -29,7 +29,7 @@ def by_engine(monkeypatch, name, jobs=None):
             jobs.append(job)
         return _engine.Engine(job, name, threads)
 
-    monkeypatch.setattr(_compute, "engine_of", engine_of)
+    monkeypatch.setattr(_execute, "engine_of", engine_of)
 
 
 def runs_by(monkeypatch, engines, *arguments, **options):

@@ -1,0 +1,51 @@
+"""Writing a run that is in memory into a new store."""
+
+from __future__ import annotations
+
+import os
+import shutil
+from functools import partial
+from pathlib import Path
+
+import jax
+import numpy as np
+
+from lieint_jax.runs import _layout
+from lieint_jax.runs._execute import rows_and_carry
+from lieint_jax.runs._job import Job
+from lieint_jax.runs._layout import Layout
+from lieint_jax.runs.store._into_store import run_into_store
+from lieint_jax.runs.store._leaves import Saves
+from lieint_jax.runs.store._reading import read_written
+from lieint_jax.runs.store._storage import StoreOptions, Url, checked_path
+from lieint_jax.runs.store._store_output import StoreOutput
+
+
+def write(job: Job, engine: str, saves: Saves, store: str | Path | StoreOptions) -> Saves:
+    """The run of these saves, which an engine of this name computed, written into a new store: all of it or nothing."""
+    options = StoreOptions.of(store)
+    path = checked_path(options.path)
+    if isinstance(path, Url):
+        raise ValueError(f"a run is saved to a folder NAME.zarr; li.run(…, store={str(path)!r}) writes to a bucket")
+    if path.exists():
+        raise ValueError(f"{path.name} exists and is not overwritten: choose another path")
+    unfinished = path.with_name(f".{path.name}.{os.getpid()}.zarr")
+    try:
+        hidden, mesh = options._replace(path=unfinished), _layout.checked_mesh(None)
+        run_into_store(job, engine, hidden, partial(_feed, job, saves), whole=job, mesh=mesh)
+        os.rename(unfinished, path)
+    finally:
+        shutil.rmtree(unfinished, ignore_errors=True)
+    return read_written(path)
+
+
+def _feed(job: Job, saves: Saves, _: Layout, output: StoreOutput) -> None:
+    """Give an output all saves of a run. Its checkpoints are of the end, for nobody resumes an unfinished copy."""
+    rows, carry = rows_and_carry(job, saves)
+    saved = 0
+    while saved <= job.num_saves:
+        number = min(output.free_rows, job.num_saves + 1 - saved)
+        output.append(jax.tree.map(lambda x: np.asarray(x)[saved : saved + number], rows), number)  # noqa: B023
+        saved += number
+        output.checkpoint(carry, int(job.nodes[saved - 1]), 0.0, stop=False)
+    output.result(carry)
