@@ -336,7 +336,7 @@ def test_a_shape_of_parts_is_drawn_about_its_center_of_mass(tmp_path):
     np.testing.assert_allclose(
         drawn.corners(0, 0) * found.centered().size(), found.centered().corners, atol=1e-12, rtol=0
     )
-    with pytest.raises(ValueError, match="--shape is given 2 times, but the run has 1 bodies"):
+    with pytest.raises(ValueError, match="--shape is given 2 times, but the number of bodies in the run is 1"):
         scene.scene_of(uniform(t), "a body", 5, shapes=[found, found])
 
 

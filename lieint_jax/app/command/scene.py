@@ -189,7 +189,9 @@ def _bodies(
     axis, single = top_axis(system), not hasattr(system, "inertias")
     inertias = np.asarray(system.inertia)[None] if single else np.asarray(system.inertias)
     if len(shapes) > len(inertias):
-        raise ValueError(f"--shape is given {len(shapes)} times, but the run has {len(inertias)} bodies")
+        raise ValueError(
+            f"--shape is given {len(shapes)} times, but the number of bodies in the run is {len(inertias)}"
+        )
     for shape, inertia in zip(shapes, inertias, strict=False):
         if (tilt := shape.tilt(inertia)) > _TILTED:
             warnings.warn(
