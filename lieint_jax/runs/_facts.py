@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from functools import lru_cache
+from functools import cache, lru_cache
 from importlib.metadata import version
 from typing import Any, NamedTuple
 
@@ -18,6 +18,7 @@ from lieint_jax.runs._job import Job, MemberSummary, list_members
 from lieint_jax.runs.store._leaves import Table, leaves_by_name
 from lieint_jax.types import State, Step, Trajectory, periods_of
 
+_version = cache(version)  # which reads a file
 _SECONDS = {"1": 1.0, "s": 1.0, "min": 60.0, "h": 3600.0, "d": 86400.0, "day": 86400.0}  # of units of time
 
 
@@ -95,7 +96,7 @@ def dates_of(facts: Facts, start: dates.Epoch, saved: Trajectory) -> np.ndarray:
 
 def package_versions() -> dict[str, str]:
     """The versions of the packages that compute a run, by name."""
-    return {"lieint_jax": __version__, "jax": jax.__version__, "jaxlib": version("jaxlib")}
+    return {"lieint_jax": __version__, "jax": jax.__version__, "jaxlib": _version("jaxlib")}
 
 
 def lines(run: Any) -> dict[str, str]:

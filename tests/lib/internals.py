@@ -148,7 +148,7 @@ def interrupt_after_the_first_call(monkeypatch):
 def another_machine(monkeypatch, device, jaxlib):
     """Let runs be on another kind of processor and by another jaxlib."""
     monkeypatch.setattr(_identity, "device", lambda: device)
-    monkeypatch.setattr(_facts, "version", lambda _: jaxlib)
+    monkeypatch.setattr(_facts, "_version", lambda _: jaxlib)
 
 
 def control_groups(monkeypatch, top, own):
