@@ -293,7 +293,7 @@ CASES = {
     ),
     "potentials.force": (
         lambda x, R: potentials.force(potentials.rod([1.0], (1.0, 1, 2), (1.0, 1, 1)), x, R),
-        dict(x=jnp.eye(2, 3), R=ROTATIONS),
+        dict(x=jnp.eye(2, 3), R=BENT),
     ),
     "potentials.torques": (potentials.torques, dict(R=ROTATIONS, along_R=ROTATIONS[::-1] + 0.1)),
     **{
