@@ -469,7 +469,7 @@ def test_constants_carries_and_rows_are_recognized_by_number_and_shape(monkeypat
     check_against_jax(function, [normal(3), np.arange(MEMBERS)], [1.5], rtol=1e-13)
 
 
-@pytest.mark.parametrize("broken", [(CONTROL_FLOW, "while"), (ELEMENTWISE, "mul"), (_pieces, "emit")])
+@pytest.mark.parametrize("broken", [(CONTROL_FLOW, "while"), (ELEMENTWISE, "mul"), (_pieces, "Writer")])
 def test_any_failure_of_an_engine_means_xla_and_is_logged_once(monkeypatch, caplog, broken):
     """A failure of the walk or of what writes LLVM's text, as by a primitive that a later JAX has changed."""
 
