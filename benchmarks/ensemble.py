@@ -84,9 +84,10 @@ def ours(step: Any, states: Any, dt: float, num_steps: int, devices: int = 1) ->
     import numpy as np
 
     from lieint_jax import ensemble
-    from lieint_jax.runs import UniformClock, _layout
-    from lieint_jax.runs._engine import engine_of
-    from lieint_jax.runs._job import Job
+    from lieint_jax.runs import UniformClock
+    from lieint_jax.runs._job.devices import layout_of
+    from lieint_jax.runs._job.engine import engine_of
+    from lieint_jax.runs._job.job import Job
 
     nodes = np.array([0, num_steps])
     clock = jax.tree.map(np.asarray, UniformClock(jnp.zeros(()), jnp.asarray(dt)))
@@ -94,7 +95,7 @@ def ours(step: Any, states: Any, dt: float, num_steps: int, devices: int = 1) ->
     job = Job(step, states, None, dt, clock, num_steps, nodes * dt, nodes, None, num_steps, None, None)
     mesh = ensemble.first_devices(None)
     engine = engine_of(job, mesh, devices)
-    layout = _layout.layout_of(mesh, len(states.p))
+    layout = layout_of(mesh, len(states.p))
     given, start = engine.start(layout)
 
     def call() -> Any:

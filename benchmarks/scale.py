@@ -56,7 +56,7 @@ def on_paper(rate: float) -> dict[str, Any]:
     from lib import measure  # float64
 
     import lieint_jax as li
-    from lieint_jax.runs import _make_job
+    from lieint_jax.runs._job import make_job as _make_job
 
     del measure
     body = li.systems.rigid_body([1.0, 2.0, 3.0])

@@ -67,11 +67,10 @@ from lieint_jax import (
 from lieint_jax._cache import cache_programs
 from lieint_jax._version import __version__
 from lieint_jax._xla import jit
-from lieint_jax.adjoints import observe, reversible, transition
 from lieint_jax.diagnostics import equilibrium, normal_modes
 from lieint_jax.fitting import fit
 from lieint_jax.native import engine, explain, scan
-from lieint_jax.runs import Event, Run, event, integrate, interpolate, run, submit
+from lieint_jax.runs import Event, Run, event, integrate, interpolate, observe, reversible, run, submit, transition
 from lieint_jax.runs import open_run as open  # noqa: A004
 from lieint_jax.types import State, Step, StepInfo, Trajectory, pytree, static
 

@@ -19,11 +19,12 @@ import numpy as np
 
 import lieint_jax as li
 from lieint_jax.ensemble import archives
-from lieint_jax.runs import _job, _make_job
+from lieint_jax.runs._job import job as _job
+from lieint_jax.runs._job import make_job as _make_job
+from lieint_jax.runs._storage.bucket import Bucket
+from lieint_jax.runs._storage.storage import Url, address
 from lieint_jax.runs.store import StoreOptions, _identity, _into_store
-from lieint_jax.runs.store._bucket import Bucket
 from lieint_jax.runs.store._root import ROOT, Root, read_root
-from lieint_jax.runs.store._storage import Url, address
 from lieint_jax.runs.store._writer import Slab, Writer, join
 
 MEMBERS = 2  # of a simulated worker; its requests are timed as if they had the bytes of all members

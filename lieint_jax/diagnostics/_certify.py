@@ -20,9 +20,9 @@ from lieint_jax.diagnostics import _measure
 from lieint_jax.diagnostics._order import fitted_order, reversibility_of_run
 from lieint_jax.diagnostics._symplectic import dimensionless_defect
 from lieint_jax.diagnostics._thermal import ThermalCertificate, certify_thermostat
-from lieint_jax.diagnostics.tangent import swinging
 from lieint_jax.groups import MatrixGroup, matrix
 from lieint_jax.types import State, Step, System, Trajectory, energy_less_work, start_time
+from lieint_jax.types.tangent import swinging
 
 if TYPE_CHECKING:
     from lieint_jax.schemes import Langevin

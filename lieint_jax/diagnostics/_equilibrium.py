@@ -26,10 +26,10 @@ from lieint_jax import _checks
 from lieint_jax._checks import concrete
 from lieint_jax._xla import compiled
 from lieint_jax.capabilities import AbstractDrivenTop, AbstractRigidBodies
-from lieint_jax.diagnostics.tangent import units, units_at_start
 from lieint_jax.groups import so3
 from lieint_jax.phase_spaces import CotangentGroup
 from lieint_jax.types import State, System, promoted
+from lieint_jax.types.tangent import units, units_at_start
 
 _ITERATIONS, _HALVINGS = 60, 12
 _WEIGHT = 0.1  # a change of the rates in the length of a correction; Newton's method fails sooner with more than 0.3

@@ -7,8 +7,8 @@ import jax.numpy as jnp
 from jax import Array, lax
 
 from lieint_jax.diagnostics._order import flow
-from lieint_jax.diagnostics.tangent import orthonormalize, units_at_start, value_and_jacobian
 from lieint_jax.types import State, Step, System
+from lieint_jax.types.tangent import orthonormalize, units_at_start, value_and_jacobian
 
 __all__ = ["exponent_of_neighbors", "exponents_of_flow"]
 

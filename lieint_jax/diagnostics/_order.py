@@ -15,9 +15,9 @@ from lieint_jax._checks import as_array, concrete
 from lieint_jax._numerics import collocation
 from lieint_jax._xla import compiled
 from lieint_jax.diagnostics import _measure
-from lieint_jax.diagnostics.tangent import distance, scale_at
 from lieint_jax.types import State, Step, System, clock, time_derivative
 from lieint_jax.types.shapes import Scalar
+from lieint_jax.types.tangent import distance, scale_at
 
 _STAGES, _ITERATIONS = 8, 24
 

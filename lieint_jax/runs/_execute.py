@@ -18,22 +18,22 @@ import numpy as np
 from jax.sharding import Mesh
 
 from lieint_jax import _checks
-from lieint_jax.runs import _layout, _loop, processes
-from lieint_jax.runs._clock import GridClock, more_times
-from lieint_jax.runs._dyadic_sum import block_sums, blocks, total
-from lieint_jax.runs._engine import Engine, engine_of
-from lieint_jax.runs._facts import Facts
-from lieint_jax.runs._job import MAX_NAMED, Job, MakeStates, MemberSummary, Series, Summary, list_members
-from lieint_jax.runs._layout import Layout, Tree
-from lieint_jax.runs._loop import Carry, Given, energy
-from lieint_jax.runs._make_job import made_states, make_jobs
-from lieint_jax.runs._part_of_task import checked_part, part_of_task
+from lieint_jax.runs._job import devices, processes
+from lieint_jax.runs._job.devices import Layout
+from lieint_jax.runs._job.engine import Engine, engine_of
+from lieint_jax.runs._job.facts import Facts
+from lieint_jax.runs._job.job import MAX_NAMED, MakeStates, list_members
+from lieint_jax.runs._job.loop import Carry, Given, energy
+from lieint_jax.runs._job.make_job import made_states, make_jobs
+from lieint_jax.runs._job.memory_output import MemoryOutput, first_rows, gather_rows, reduce_rows
+from lieint_jax.runs._job.part_of_task import checked_part, part_of_task
+from lieint_jax.runs._march.clock import GridClock, more_times
+from lieint_jax.runs._storage.leaves import Saves
+from lieint_jax.runs._storage.storage import StoreOptions, Url, address
 from lieint_jax.runs.store import _identity
 from lieint_jax.runs.store._into_store import run_into_store
-from lieint_jax.runs.store._leaves import Saves
-from lieint_jax.runs.store._storage import StoreOptions, Url, address
 from lieint_jax.runs.store._store_output import StoreOutput
-from lieint_jax.types import State, Step, StepInfo, System, Trajectory, callable_pytree
+from lieint_jax.types import State, Step, System, callable_pytree
 
 _CALL = 0.5  # target duration of a call of the compiled loop, s
 
@@ -66,11 +66,11 @@ def compute(
         raise ValueError("resume continues a run in a store; pass store=PATH.zarr")
     k, count = (0, 1) if part is None else part_of_task() if part == "auto" else checked_part(part)
     threads = threads if threads is None else _checks.count("threads", threads, 1)
-    given, mesh = mesh, _layout.checked_mesh(mesh)
-    threads = threads or (_layout.count_cores() if given is None else len(mesh.local_devices))
+    given, mesh = mesh, devices.checked_mesh(mesh)
+    threads = threads or (devices.count_cores() if given is None else len(mesh.local_devices))
     options = None if store is None else StoreOptions.of(store)
     in_parts, remote = part is not None and count > 1, options is not None and isinstance(address(options.path), Url)
-    if (in_parts or remote) and _layout.count_processes(mesh) > 1:
+    if (in_parts or remote) and devices.count_processes(mesh) > 1:
         raise ValueError("part and stores in object storage are for independent processes, without jax.distributed")
     description |= {"dt": dt, "num_steps": num_steps, "store": store}
     made = made_states(states, members)
@@ -80,9 +80,9 @@ def compute(
 
     with processes.name_lost(mesh) if jax.process_count() > 1 else contextlib.nullcontext():
         if options is None:
-            if _layout.count_processes(mesh) > 1:
+            if devices.count_processes(mesh) > 1:
                 _identity.check_processes(mesh, _identity.description(job, engine.name), store=None, resume=False)
-            layout = _layout.layout_of(mesh, job.members)
+            layout = devices.layout_of(mesh, job.members)
             saves = execute(engine, layout, MemoryOutput(job, layout, earlier), progress)
             assert saves is not None
             start = job.initial if job.reduction is not None else None
@@ -108,7 +108,7 @@ def execute(engine: Engine, layout: Layout, output: MemoryOutput | StoreOutput, 
     """Run a job to its end, append its saved rows to `output`, and return the output's result."""
     job, restored = engine.job, output.restore()
     given, start = engine.start(layout)
-    shown = bool(_layout.all_reduce_max(layout.mesh, progress and Bar.is_visible())[0])
+    shown = bool(devices.all_reduce_max(layout.mesh, progress and Bar.is_visible())[0])
     H0 = engine.quantity(energy, given, start.state, 0) if shown else None
     if restored is None:
         _check_start(engine, layout, given, start, output.buffer_rows)
@@ -133,16 +133,16 @@ def execute(engine: Engine, layout: Layout, output: MemoryOutput | StoreOutput, 
             bar.update(steps)
             if H0 is not None:
                 H = engine.quantity(energy, given, carry.state, done)
-                error, failed = _layout.worst_energy_error(layout, H0, H, carry.failed)
+                error, failed = devices.worst_energy_error(layout, H0, H, carry.failed)
                 bar.show(error if job.step.system.hamiltonian else None, failed)
-            seconds, stop = _layout.all_reduce_max(layout.mesh, time.perf_counter() - clock, bool(requested))
+            seconds, stop = devices.all_reduce_max(layout.mesh, time.perf_counter() - clock, bool(requested))
             if steps == most or seconds > _CALL:
                 most = int(min(max(1, most * min(4.0, _CALL / max(seconds, 1e-6))), 2**30))
             output.checkpoint(carry, done, seconds, bool(stop))
             if stop and output.can_stop():
                 raise KeyboardInterrupt(output.interrupt_message(done, job.num_steps))
         result = output.result(carry)
-    warn_of_failures(_layout.gather(layout, carry.failed), job.first_member, job.step.system)
+    warn_of_failures(devices.gather(layout, carry.failed), job.first_member, job.step.system)
     return result
 
 
@@ -151,7 +151,7 @@ def _check_start(engine: Engine, layout: Layout, given: Given, start: Carry, row
     job = engine.job
     first = job.first_member
     if given.quantity is not None:
-        bad = np.flatnonzero(~np.isfinite(_layout.gather(layout, given.quantity)))
+        bad = np.flatnonzero(~np.isfinite(devices.gather(layout, given.quantity)))
         if bad.size:
             raise ValueError(
                 f"the quantity of reduce must be finite at the start, from which its changes are measured, and is not "
@@ -159,7 +159,7 @@ def _check_start(engine: Engine, layout: Layout, given: Given, start: Carry, row
             )
     if job.num_steps:
         after, _ = engine.run_intervals(given, start, 0, 0, np.ones(1, int), rows)
-        bad = np.flatnonzero(_layout.gather(layout, after.failed) >= 0)
+        bad = np.flatnonzero(devices.gather(layout, after.failed) >= 0)
         if bad.size and not job.step.approximate:
             step, state = job.member(bad[0])
             more = more_times(step, state, job.first_dt) if isinstance(job.clock, GridClock) else ""
@@ -183,134 +183,6 @@ def warn_of_failures(failed: np.ndarray, first: int, system: System) -> None:
             RuntimeWarning,
             stacklevel=5,
         )
-
-
-def gather_rows(layout: Layout, saved: Tree, number: int) -> Tree:
-    """The first `number` saved rows of all members, on every process."""
-    return _layout.gather(layout, jax.tree.map(lambda x: np.asarray(x)[:number], saved), 1)
-
-
-def first_rows(job: Job, carry: Carry) -> Tree | Series:
-    """The entry of the start: a row (1, members) of the report and the states, or that of the series of a reduction."""
-    if job.reduction is None:
-        return jax.tree.map(lambda x: np.asarray(x)[None], (carry.info, carry.state))
-    found: Series = dict.fromkeys(job.series_names, np.zeros(1, job.dtype)) | {"unconverged": np.zeros(1, np.int64)}
-    if job.part is not None and not job.per_member:
-        found["sums"] = np.zeros((1, len(blocks(job.part.start, job.part.stop))), job.dtype)
-    return found
-
-
-def rows_and_carry(job: Job, saves: Saves) -> tuple[Tree | Series, Carry]:
-    """The rows of a run in memory, that of the start first, and the carry at its end."""
-    found, failed = saves.found, saves.failed
-    states, change = found.state if job.t0 is None else found.state._replace(t=None), None
-    if isinstance(found, Trajectory):
-        rows: Tree = found.info, states
-        states = jax.tree.map(lambda x: x[-1], states)
-    else:
-        rows = {name: np.asarray(found._asdict()[name]) for name in job.series_names}
-        change = found.change if isinstance(found, MemberSummary) else job.first_change(failed, None)
-    return rows, _loop.start(states, change)._replace(failed=failed.astype(_loop.step_dtype()))
-
-
-def reduce_rows(rows: Tree, job: Job) -> Series:
-    """Reduce rows (saves, members) to series (saves,), whose bits depend neither on devices nor on parts.
-
-    For a part, "sums" (saves, blocks) are the sums from which the mean of the whole run is computed.
-    """
-    info, change = rows
-    reports = {
-        "residual": info.residual.max(axis=1),
-        "unconverged": (~np.asarray(info.converged)).sum(axis=1),
-    }
-    if change.per_member:
-        return reports  # pyright: ignore[reportReturnType]
-    sums = block_sums(np.asarray(change.total), job.first_member)
-    members = range(job.first_member, job.first_member + job.members)
-    found = {
-        "least": change.least.min(axis=1),
-        "greatest": change.greatest.max(axis=1),
-        "mean": total([(members, sums)]) / (job.members * (job.save_every or 1)),
-        **reports,
-    }
-    return found if job.part is None else found | {"sums": sums}  # pyright: ignore[reportReturnType]
-
-
-class MemoryOutput:
-    """Results as numpy arrays; `earlier` are those of a run of which this one is the continuation.
-
-    `StoreOutput` has the same methods.
-
-    Attributes:
-        defers_interrupts: whether an interrupt waits until the run `can_stop`.
-        buffer_rows: the largest number of saves in one call of the compiled loop: the length of its buffer.
-        free_rows: the largest number of saves in the next call.
-    """
-
-    defers_interrupts = False
-
-    def __init__(self, job: Job, layout: Layout, earlier: Saves | None = None) -> None:
-        self._job, self._layout, self._entries, self._earlier = job, layout, 0, earlier
-        self.buffer_rows = self.free_rows = job.buffer_rows(job.members)
-        self._out: Any = None  # rows of all entries, or series
-
-    def restore(self) -> tuple[Carry, int, int] | None:
-        """The carry and the numbers of steps and of saves of the unfinished run in this output, or None."""
-        if self._earlier is None:
-            return None
-        found = self._earlier.found
-        rows, carry = rows_and_carry(self._job, self._earlier)
-        saved = len(found.t) - 1
-        done = int(self._job.nodes[saved])
-        if isinstance(found, MemberSummary):  # whose one interval goes on
-            done, saved = int(found.number) - 1, 0
-            rows = first_rows(self._job, carry)
-            carry = carry._replace(
-                info=StepInfo(np.full(carry.failed.shape, found.residual[-1]), carry.failed < 0)  # pyright: ignore
-            )
-        self._put(rows)
-        return _layout.placed(self._layout, carry), done, saved
-
-    def append(self, saved: Tree | Series, number: int) -> None:
-        """Receive `number` saved rows, or those of the series of a reduction; that of the start first."""
-        self._put(saved if isinstance(saved, dict) else gather_rows(self._layout, saved, number))
-
-    def _put(self, rows: Tree | Series) -> None:
-        """Copy rows to the arrays of all entries, which the first of them make."""
-        if self._out is None:
-            entries = self._job.num_saves + 1
-            self._out = jax.tree.map(lambda x: np.empty((entries, *x.shape[1:]), x.dtype), rows)
-        number = len(jax.tree.leaves(rows)[0])
-        for target, x in zip(jax.tree.leaves(self._out), jax.tree.leaves(rows), strict=True):
-            target[self._entries : self._entries + number] = x
-        self._entries += number
-
-    def checkpoint(self, carry: Carry, done: int, seconds: float, stop: bool) -> None:
-        """Receive, after each call of the loop, a carry from which the run can be resumed."""
-
-    def can_stop(self) -> bool:
-        """True if everything that a resumed run needs has been written."""
-        return True
-
-    def interrupt_message(self, done: int, num_steps: int) -> str:
-        """The message for a user who interrupted the run."""
-        return f"stopped after {done} of {num_steps} steps; a run with a store can be resumed"
-
-    def result(self, carry: Carry) -> Saves:
-        """The saves, after the last step."""
-        state, failed = _layout.gather(self._layout, (carry.state, carry.failed))
-        job, times, has_time = self._job, self._job.times, self._job.t0 is not None
-        if job.reduction is None:
-            info, states = self._out
-            states = states._replace(t=job.state_times()) if has_time else states
-            return Saves(Trajectory(times, states, info), failed)  # pyright: ignore
-        series = {name: x for name, x in self._out.items() if name != "sums"}
-        state = state._replace(t=job.state_times(slice(-1, None))[0]) if has_time else state
-        ends = {"state": state, "failed": failed}
-        if not job.per_member:
-            return Saves(Summary(times, **series, **ends), failed)
-        change: Any = _layout.gather(self._layout, carry.change)
-        return Saves(MemberSummary(times, **change._asdict() | series | ends, number=job.num_steps + 1), failed)
 
 
 class Bar:

@@ -16,16 +16,15 @@ from numpy.typing import ArrayLike
 
 from lieint_jax import _checks, dates
 from lieint_jax._free_body import Periods
-from lieint_jax.runs import _facts
 from lieint_jax.runs._execute import compute
-from lieint_jax.runs._facts import Facts, dates_of, lines
-from lieint_jax.runs._interpolate import interpolate, interpolate_members
-from lieint_jax.runs._job import MemberSummary, Summary, member_of, saves_of_batch, with_member_axis
-from lieint_jax.runs._loop import energy
-from lieint_jax.runs._make_job import checked_job, is_batch
+from lieint_jax.runs._job.facts import Facts, compile_map, dates_of, defect, from_start, lines, momentum, periods, plain
+from lieint_jax.runs._job.job import MemberSummary, Summary, member_of, saves_of_batch, with_member_axis
+from lieint_jax.runs._job.loop import energy
+from lieint_jax.runs._job.make_job import checked_job, is_batch
+from lieint_jax.runs._march.interpolate import interpolate, interpolate_members
 from lieint_jax.runs._save import write
-from lieint_jax.runs.store._leaves import Saves
-from lieint_jax.runs.store._storage import StoreOptions
+from lieint_jax.runs._storage.leaves import Saves
+from lieint_jax.runs._storage.storage import StoreOptions
 from lieint_jax.types import State, Step, StepInfo, System, Trajectory, callable_pytree, labeled, pytree, static
 
 if TYPE_CHECKING:
@@ -200,7 +199,7 @@ class Run(Generic[Saved, Reduced]):
         saved = self._saved.state
         whole = callable_pytree(function)
         numbers, structure = jax.tree.flatten(whole)
-        map_states = _facts.compile_map(structure, self.facts.batch, self.own_step)
+        map_states = compile_map(structure, self.facts.batch, self.own_step)
         if not self.facts.source:
             return map_states(numbers, self.step, saved)
         size = sum(x.dtype.itemsize * math.prod(x.shape[1:]) for x in jax.tree.leaves(saved))
@@ -232,15 +231,15 @@ class Run(Generic[Saved, Reduced]):
 
     def energy_error(self) -> Array:
         """H − W less its first value, (times,) or (times, members); W is the work, where the states count it."""
-        return _facts.from_start(self.map(energy))
+        return from_start(self.map(energy))
 
     def momentum_error(self) -> Array:
         """The momentum map less its first value, (times, k) or (times, members, k)."""
-        return _facts.from_start(self.map(_facts.momentum))
+        return from_start(self.map(momentum))
 
     def constraint_error(self) -> Array:
         """The distance of q from the configuration space, (times,) or (times, members)."""
-        return self.map(_facts.defect)
+        return self.map(defect)
 
     def periods(self) -> Periods:
         """The mean periods of precession and rotation of a tumbling body at each save: `body.periods`.
@@ -248,7 +247,7 @@ class Run(Generic[Saved, Reduced]):
         Raises:
             ValueError: the system has no periods.
         """
-        return self.map(_facts.periods)
+        return self.map(periods)
 
     def rotations(self) -> Rotation:
         """The attitudes, body to space, as `scipy.spatial.transform.Rotation`: see `Trajectory.rotations`."""
@@ -338,9 +337,9 @@ class Run(Generic[Saved, Reduced]):
             "save_every": None if of_members else facts.save_every,
             "save_at": self.t[1:] if facts.save_every is None else None,
             "per": "member" if of_members else None,
-            "first": _facts.plain(self.condition),
+            "first": plain(self.condition),
             "step_axis": 0 if facts.own_step else None,
-            "reduce": _facts.plain(self.reduction),
+            "reduce": plain(self.reduction),
             "batch": facts.batch,
             "epoch": facts.epoch,
         }

@@ -10,14 +10,14 @@ from pathlib import Path
 import jax
 import numpy as np
 
-from lieint_jax.runs import _layout
-from lieint_jax.runs._execute import rows_and_carry
-from lieint_jax.runs._job import Job
-from lieint_jax.runs._layout import Layout
+from lieint_jax.runs._job import devices
+from lieint_jax.runs._job.devices import Layout
+from lieint_jax.runs._job.job import Job
+from lieint_jax.runs._job.memory_output import rows_and_carry
+from lieint_jax.runs._storage.leaves import Saves
+from lieint_jax.runs._storage.storage import StoreOptions, Url, checked_path
 from lieint_jax.runs.store._into_store import run_into_store
-from lieint_jax.runs.store._leaves import Saves
 from lieint_jax.runs.store._reading import read_written
-from lieint_jax.runs.store._storage import StoreOptions, Url, checked_path
 from lieint_jax.runs.store._store_output import StoreOutput
 
 
@@ -31,7 +31,7 @@ def write(job: Job, engine: str, saves: Saves, store: str | Path | StoreOptions)
         raise ValueError(f"{path.name} exists and is not overwritten: choose another path")
     unfinished = path.with_name(f".{path.name}.{os.getpid()}.zarr")
     try:
-        hidden, mesh = options._replace(path=unfinished), _layout.checked_mesh(None)
+        hidden, mesh = options._replace(path=unfinished), devices.checked_mesh(None)
         run_into_store(job, engine, hidden, partial(_feed, job, saves), whole=job, mesh=mesh)
         os.rename(unfinished, path)
     finally:

@@ -16,14 +16,14 @@ import jax
 import numpy as np
 
 from lieint_jax._checks import count
-from lieint_jax.runs import processes
 from lieint_jax.runs._execute import Bar, warn_of_failures
-from lieint_jax.runs._job import MakeStates, MemberSummary, Summary
-from lieint_jax.runs._loop import Reduction
+from lieint_jax.runs._job import processes
+from lieint_jax.runs._job.job import MakeStates, MemberSummary, Summary
+from lieint_jax.runs._job.loop import Reduction
 from lieint_jax.runs._make_run import OptionsOfParts, run, untransformed
 from lieint_jax.runs._run import Run, stored_run
+from lieint_jax.runs._storage.storage import StoreOptions, address
 from lieint_jax.runs.store._reading import read_run
-from lieint_jax.runs.store._storage import StoreOptions, address
 from lieint_jax.types import State, Step, Trajectory
 
 _PAUSE = 0.05  # seconds between two looks at the tasks

@@ -20,7 +20,7 @@ from lieint_jax.app.command import cli, files
 from lieint_jax.app.command import info as info_command
 from lieint_jax.app.command import run as run_command
 from lieint_jax.ensemble import archives, processes
-from lieint_jax.runs import _layout
+from lieint_jax.runs._job import devices as _devices
 from lieint_jax.runs.store import _identity
 from lieint_jax.types import State, StepInfo, Trajectory
 
@@ -162,9 +162,9 @@ def test_a_mesh_over_processes_must_be_even_and_have_this_one(monkeypatch, owner
         axis_names = ("members",)
         devices = np.array([SimpleNamespace(process_index=owner) for owner in owners])
 
-    monkeypatch.setattr(_layout, "Mesh", Mesh)
+    monkeypatch.setattr(_devices, "Mesh", Mesh)
     with pytest.raises(ValueError, match=sentence):
-        _layout.checked_mesh(Mesh())  # pyright: ignore[reportArgumentType]
+        _devices.checked_mesh(Mesh())  # pyright: ignore[reportArgumentType]
 
 
 def test_an_interrupted_run_in_memory_suggests_a_store(monkeypatch):

@@ -32,8 +32,10 @@ import lieint_jax as li
 from lieint_jax import ensemble
 from lieint_jax.app.command import cli, info
 from lieint_jax.ensemble import archives
-from lieint_jax.runs import _dyadic_sum
-from lieint_jax.runs.store import _bucket, _disk, _root
+from lieint_jax.runs._job import dyadic_sum as _dyadic_sum
+from lieint_jax.runs._storage import bucket as _bucket
+from lieint_jax.runs._storage import disk as _disk
+from lieint_jax.runs.store import _root
 
 BODY = li.systems.rigid_body([1.0, 2.0, 3.0])
 STEP = li.schemes.so3_midpoint(BODY)

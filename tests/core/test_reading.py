@@ -121,7 +121,7 @@ def test_names_that_earlier_versions_stored_are_found(stored, present):
 
 @pytest.mark.parametrize(
     "name",
-    ["os.system", "lieint_jax.nothing", "lieint_jax.app.command.cli.os.system", "lieint_jax.runs.store._disk.shutil"],
+    ["os.system", "lieint_jax.nothing", "lieint_jax.app.command.cli.os.system", "lieint_jax.runs._storage.disk.shutil"],
 )
 def test_a_description_cannot_name_code_outside_the_package(name):
     with pytest.raises(ValueError, match="does not belong to this package"):

@@ -26,8 +26,8 @@ FLOORS = [  # from the roof down; a module imports only from floors below its ow
     ("_cache",),
     ("ensemble",),  # older names
     ("fitting",),
-    ("adjoints",),
     ("diagnostics", "measure"),
+    ("adjoints",),  # the page of the derivatives that `runs` has
     ("runs",),
     ("schemes",),
     ("systems",),
@@ -101,10 +101,35 @@ def test_imports_point_down(path):
             assert LEVEL[other] > LEVEL[room] or other == room, f"{path} imports {name}"
         elif name == "lieint_jax":
             pytest.fail(f"{path} imports the face of the package")
-        elif LEVEL[room] > LEVEL["runs"] or room in ("adjoints", "diagnostics"):
+        elif LEVEL[room] > LEVEL["runs"] or room == "diagnostics" or path.parent.name == "_adjoints":
             top = name.split(".")[0]
             own = {"native": COMPILER, "types": CHECKED}.get(room, set())
             assert top in CORE | own or top in sys.stdlib_module_names, f"{path} is core and imports {name}"
+
+
+def floors(graph):
+    """The number of nodes on the longest chain of a graph that has no circle."""
+    import graphlib
+
+    height = {}
+    for node in graphlib.TopologicalSorter(graph).static_order():
+        height[node] = 1 + max((height[other] for other in graph[node]), default=0)
+    return max(height.values())
+
+
+def test_the_room_of_runs_has_four_floors():
+    """Its folders stand on four floors, and so do the files of each of them."""
+    files = {path for path in FILES if path.is_relative_to(ROOT / "runs") and path.name != "__init__.py"}
+    graph = {path: {file_of(name) for name in imports(path)} & files for path in files}
+    folders = {folder: set() for folder in {path.parent for path in files}}
+    for path, found in graph.items():
+        folders[path.parent] |= {other.parent for other in found} - {path.parent}
+    assert floors(folders) <= 4
+    for folder in folders:
+        assert floors({p: {x for x in graph[p] if x.parent == folder} for p in files if p.parent == folder}) <= 4, (
+            folder
+        )
+    assert max(len(path.read_text(encoding="utf-8").splitlines()) for path in files) <= 400
 
 
 @pytest.mark.parametrize("path", FILES, ids=lambda p: str(p.relative_to(ROOT)))

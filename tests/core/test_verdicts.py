@@ -21,7 +21,7 @@ LOOPS = {
     "diagnostics/_equilibrium.py:_newton": "raises if the residual is not round-off",
     "diagnostics/_order.py:_flow": "NaN if the last change is not small",
     "diagnostics/_order.py:step_once": "a part of _flow",
-    "runs/store/_untrusted.py:parse_json": "no iteration: levels of brackets, refused if there are more",
+    "runs/_storage/untrusted.py:parse_json": "no iteration: levels of brackets, refused if there are more",
     "fitting/_trust_region.py:_damped_step": "a step with any damping is judged by its loss",
     "groups/_matrix.py:exp": "squarings by their number; NaN beyond",
     "groups/_matrix.py:log": "NaN if the last change is not small",

@@ -13,10 +13,18 @@ import numpy as np
 
 from lieint_jax import _checks, ensemble
 from lieint_jax._xla import compiled
-from lieint_jax.diagnostics import tangent
 from lieint_jax.native import _kernel, _machine, _march_code, _traced
-from lieint_jax.runs import _engine, _execute, _facts, _job, _layout, _make_job, _run
-from lieint_jax.runs.store import _bucket, _disk, _identity, _root, _store_output, _writer
+from lieint_jax.runs import _execute, _run
+from lieint_jax.runs._job import devices as _devices
+from lieint_jax.runs._job import engine as _engine
+from lieint_jax.runs._job import facts as _facts
+from lieint_jax.runs._job import job as _job
+from lieint_jax.runs._job import make_job as _make_job
+from lieint_jax.runs._job.split import Split
+from lieint_jax.runs._storage import bucket as _bucket
+from lieint_jax.runs._storage import disk as _disk
+from lieint_jax.runs.store import _identity, _root, _store_output, _writer
+from lieint_jax.types import tangent
 
 _DIFFERENCE = _engine.Engine._difference
 
@@ -53,7 +61,7 @@ def refusal(name, job):
 
 def spread_over_devices(monkeypatch):
     """Let a process spread its members over its devices, as over accelerators."""
-    monkeypatch.setattr(_layout, "_on_cpu", lambda _: False)
+    monkeypatch.setattr(_devices, "_on_cpu", lambda _: False)
 
 
 def forget_loops():
@@ -117,7 +125,7 @@ def small_chunks(monkeypatch, members, joined):
 
 def members_of_parts(members, count, most=8192):
     """The members of each of `count` parts of a run, and of how many a chunk is, at most `most`."""
-    split = _root.Split.into_parts(members, count, most)
+    split = Split.into_parts(members, count, most)
     return [split.part(k) for k in range(count)], split.chunk
 
 

@@ -21,9 +21,9 @@ from lieint_jax.diagnostics import (
     reversibility,
     symplectic_defect,
 )
-from lieint_jax.diagnostics.tangent import value_and_jacobian
 from lieint_jax.schemes import group_midpoint
 from lieint_jax.types import State
+from lieint_jax.types.tangent import value_and_jacobian
 
 pytestmark = pytest.mark.long
 

@@ -11,6 +11,7 @@ import lieint_jax as li
 from lieint_jax import diagnostics, schemes, systems, torques
 from lieint_jax.groups import so3
 from lieint_jax.maps import KAPPAS
+from lieint_jax.types import tangent
 
 pytestmark = pytest.mark.long
 
@@ -43,7 +44,7 @@ def linearized(moments, dt):
         after, _ = schemes.splitting(satellite)(z, dt)
         return after._replace(q=so3.multiply(back, after.q), p=so3.Ad(back, after.p), t=z.t), None
 
-    return diagnostics.tangent.value_and_jacobian(satellite.phase_space, step, state)[2]
+    return tangent.value_and_jacobian(satellite.phase_space, step, state)[2]
 
 
 def power_sums(squares):

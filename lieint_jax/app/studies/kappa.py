@@ -22,10 +22,10 @@ from matplotlib.figure import Figure
 from lieint_jax import diagnostics, maps, schemes, systems
 from lieint_jax.app import plots
 from lieint_jax.app.studies.inference import table
-from lieint_jax.diagnostics.tangent import value_and_jacobian
 from lieint_jax.fitting import Fit, fit
 from lieint_jax.runs import integrate
 from lieint_jax.types import State
+from lieint_jax.types.tangent import value_and_jacobian
 
 DT = 0.1
 FORMS = {"c₁x + c₂x²": 2, "c₁x + … + c₄x⁴": 4}

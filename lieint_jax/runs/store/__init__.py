@@ -4,12 +4,12 @@ The application reads its files through these names. A file that cannot be read 
 whose message is one sentence that names the file.
 """
 
+from lieint_jax.runs._storage.files import open_storage
+from lieint_jax.runs._storage.open_archive import open_archive, write_archive, write_trajectory
+from lieint_jax.runs._storage.storage import Address, StoreOptions, Url, address
+from lieint_jax.runs._storage.untrusted import SUFFIXES, UnreadableError, parse_toml, read_toml, wrap_errors
 from lieint_jax.runs.store._description import UnknownNameError
-from lieint_jax.runs.store._files import open_storage
-from lieint_jax.runs.store._open_archive import open_archive, write_archive, write_trajectory
 from lieint_jax.runs.store._reading import check_system, load_results, load_store, open_run, step_from_store
-from lieint_jax.runs.store._storage import Address, StoreOptions, Url, address
-from lieint_jax.runs.store._untrusted import SUFFIXES, UnreadableError, parse_toml, read_toml, wrap_errors
 
 __all__ = [
     "SUFFIXES",

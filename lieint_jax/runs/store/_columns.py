@@ -7,10 +7,10 @@ from collections.abc import Mapping
 import numpy as np
 from numpy.typing import DTypeLike
 
-from lieint_jax.runs._job import Job
-from lieint_jax.runs._layout import Numbers
-from lieint_jax.runs.store._leaves import Table, leaves_by_name, store_name
-from lieint_jax.runs.store._storage import StoreOptions
+from lieint_jax.runs._job.devices import Numbers
+from lieint_jax.runs._job.job import Job
+from lieint_jax.runs._storage.leaves import Table, leaves_by_name, store_name
+from lieint_jax.runs._storage.storage import StoreOptions
 from lieint_jax.runs.store._writer import Column
 from lieint_jax.types import labeled
 

@@ -17,7 +17,7 @@ import jax
 import numpy as np
 
 from lieint_jax.groups import MatrixGroup
-from lieint_jax.runs.store._leaves import store_name
+from lieint_jax.runs._storage.leaves import store_name
 from lieint_jax.types import Partitioned, Step, callable_pytree
 
 _PACKAGE = __name__.partition(".")[0]

@@ -16,15 +16,15 @@ import numpy as np
 from jax.sharding import Mesh
 from jax.typing import ArrayLike
 
-from lieint_jax.runs import _layout
-from lieint_jax.runs._clock import GridClock
-from lieint_jax.runs._facts import package_versions
-from lieint_jax.runs._job import Job
-from lieint_jax.runs._loop import compiler_options
+from lieint_jax.runs._job import devices
+from lieint_jax.runs._job.facts import package_versions
+from lieint_jax.runs._job.job import Job
+from lieint_jax.runs._job.loop import compiler_options
+from lieint_jax.runs._march.clock import GridClock
+from lieint_jax.runs._storage.leaves import Table, leaves_by_name
+from lieint_jax.runs._storage.storage import Address
 from lieint_jax.runs.store._digest import NotDigestible, digest, python_of
-from lieint_jax.runs.store._leaves import Table, leaves_by_name
 from lieint_jax.runs.store._root import FORMAT
-from lieint_jax.runs.store._storage import Address
 from lieint_jax.types import State
 
 _MACHINE = ("device", "engine", "compiler_options", "XLA_FLAGS")  # keys of a description, besides the versions
@@ -84,11 +84,11 @@ def check_processes(mesh: Mesh, described: Table, **options: object) -> None:
         described: the description of this process' run.
         options: other values for JSON on which the processes must agree.
     """
-    if _layout.count_processes(mesh) == 1:
+    if devices.count_processes(mesh) == 1:
         return
     parts = {**described, **options}
     mine = [hashlib.sha256(json.dumps(parts[key], sort_keys=True).encode()).digest()[:8] for key in parts]
-    found = _layout.all_gather(mesh, np.frombuffer(b"".join(mine), np.uint32)).reshape(-1, len(parts), 2)
+    found = devices.all_gather(mesh, np.frombuffer(b"".join(mine), np.uint32)).reshape(-1, len(parts), 2)
     different = [key for key, same in zip(parts, (found == found[0]).all(axis=(0, 2)), strict=True) if not same]
     if different:
         raise ValueError(

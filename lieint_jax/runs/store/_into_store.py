@@ -9,20 +9,21 @@ from functools import partial
 import jax
 from jax.sharding import Mesh
 
-from lieint_jax.runs import _layout
-from lieint_jax.runs._dyadic_sum import blocks
-from lieint_jax.runs._job import Job
-from lieint_jax.runs._layout import Layout
-from lieint_jax.runs._make_job import split_into_parts
+from lieint_jax.runs._job import devices
+from lieint_jax.runs._job.devices import Layout
+from lieint_jax.runs._job.dyadic_sum import blocks
+from lieint_jax.runs._job.job import Job
+from lieint_jax.runs._job.make_job import split_into_parts
+from lieint_jax.runs._job.split import Split
+from lieint_jax.runs._storage.files import open_storage
+from lieint_jax.runs._storage.leaves import Saves, Table
+from lieint_jax.runs._storage.storage import Storage, StoreOptions, check_json, checked_path
 from lieint_jax.runs.store import _identity
 from lieint_jax.runs.store._columns import Axes, attributes_of, columns_of, constant, labels, series_columns
 from lieint_jax.runs.store._description import describe
-from lieint_jax.runs.store._files import open_storage
-from lieint_jax.runs.store._leaves import Saves, Table
 from lieint_jax.runs.store._open_store import check_store, described_root
 from lieint_jax.runs.store._reading import read_part
-from lieint_jax.runs.store._root import FORMAT, ROOT, Root, Split
-from lieint_jax.runs.store._storage import Storage, StoreOptions, check_json, checked_path
+from lieint_jax.runs.store._root import FORMAT, ROOT, Root
 from lieint_jax.runs.store._store_output import StoreOutput
 from lieint_jax.runs.store._writer import Writer, join, skeleton
 
@@ -63,8 +64,8 @@ def run_into_store(
     described = _identity.description(whole, engine, options.attributes.get("scenario"))
     first_files = partial(_skeleton, whole, options, described, split, in_parts, storage.is_remote)
     _identity.check_processes(mesh, described, store=storage.address.name, resume=resume)
-    together = partial(_layout.fail_together, mesh)
-    exists = bool(_layout.all_reduce_max(mesh, storage.has_store())[0])
+    together = partial(devices.fail_together, mesh)
+    exists = bool(devices.all_reduce_max(mesh, storage.has_store())[0])
     if exists and not resume:
         raise ValueError(
             f"{storage.address.name} exists and is not overwritten; resume continues it, or choose another store"
@@ -82,7 +83,7 @@ def run_into_store(
         writer = together(
             lambda: stack.enter_context(contextlib.closing(Writer(root, k, leader, initial, machine, same_bits)))
         )
-        layout = _layout.layout_of(mesh, job.members, root.split.chunk)
+        layout = devices.layout_of(mesh, job.members, root.split.chunk)
         if not writer.progress["complete"]:
             integrate(layout, StoreOutput(job, layout, writer))
         progress = writer.progress

@@ -13,10 +13,10 @@ from typing import Any
 
 import numpy as np
 
-from lieint_jax.runs.store._chunks import chunk_files, damage_of_chunks, damage_of_constants, digest, is_along_time
-from lieint_jax.runs.store._files import open_zarr
-from lieint_jax.runs.store._leaves import Saves, Table, states_in
-from lieint_jax.runs.store._storage import Storage
+from lieint_jax.runs._storage.chunks import chunk_files, damage_of_chunks, damage_of_constants, digest, is_along_time
+from lieint_jax.runs._storage.files import open_zarr
+from lieint_jax.runs._storage.leaves import Saves, Table, states_in
+from lieint_jax.runs._storage.storage import Storage
 from lieint_jax.types import StepInfo, Trajectory
 
 LAST = 3  # the last format of such stores

@@ -12,11 +12,10 @@ from pathlib import Path
 from typing import Any
 
 from lieint_jax import _checks
-from lieint_jax.runs._job import SERIES
-from lieint_jax.runs.store import _legacy
-from lieint_jax.runs.store._chunks import raise_if_damaged
-from lieint_jax.runs.store._files import open_storage
-from lieint_jax.runs.store._kinds import (
+from lieint_jax.runs._job.job import SERIES
+from lieint_jax.runs._storage.chunks import raise_if_damaged
+from lieint_jax.runs._storage.files import open_storage
+from lieint_jax.runs._storage.kinds import (
     ARRAY_KEYS,
     COUNTS,
     LENGTHS,
@@ -30,10 +29,11 @@ from lieint_jax.runs.store._kinds import (
     check_table,
     expect,
 )
-from lieint_jax.runs.store._leaves import Table, store_name
+from lieint_jax.runs._storage.leaves import Table, store_name
+from lieint_jax.runs._storage.storage import Address
+from lieint_jax.runs._storage.untrusted import JSON_BYTES, UnreadableError, parse_json, refuse_special, wrap_errors
+from lieint_jax.runs.store import _legacy
 from lieint_jax.runs.store._root import Root, read_root
-from lieint_jax.runs.store._storage import Address
-from lieint_jax.runs.store._untrusted import JSON_BYTES, UnreadableError, parse_json, refuse_special, wrap_errors
 
 _CHUNK_BYTES = 2**30
 _MAX_PARTS, _MOST_FILES = 10**6, 10**12

@@ -7,12 +7,12 @@ from typing import Any
 
 import numpy as np
 
-from lieint_jax.runs._dyadic_sum import blocks, total
-from lieint_jax.runs.store._chunks import dims_of, first_of, is_along_time
-from lieint_jax.runs.store._files import open_zarr
-from lieint_jax.runs.store._leaves import Saves, states_in
+from lieint_jax.runs._job.dyadic_sum import blocks, total
+from lieint_jax.runs._storage.chunks import dims_of, first_of, is_along_time
+from lieint_jax.runs._storage.files import open_zarr
+from lieint_jax.runs._storage.leaves import Saves, states_in
+from lieint_jax.runs._storage.untrusted import UnreadableError
 from lieint_jax.runs.store._root import PartState, Root
-from lieint_jax.runs.store._untrusted import UnreadableError
 from lieint_jax.types import StepInfo, Trajectory
 
 

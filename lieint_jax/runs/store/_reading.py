@@ -11,20 +11,20 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from lieint_jax.runs._job import SERIES, MemberSummary, Summary
-from lieint_jax.runs._loop import Change
+from lieint_jax.runs._job.job import SERIES, MemberSummary, Summary
+from lieint_jax.runs._job.loop import Change
+from lieint_jax.runs._storage.chunks import first_of
+from lieint_jax.runs._storage.disk import Disk
+from lieint_jax.runs._storage.files import open_storage, open_zarr
+from lieint_jax.runs._storage.leaves import Saves, Table, states_in
+from lieint_jax.runs._storage.open_archive import open_archive, read_trajectory
+from lieint_jax.runs._storage.storage import Address, Url, address
+from lieint_jax.runs._storage.untrusted import wrap_errors
 from lieint_jax.runs.store import _legacy, _published
-from lieint_jax.runs.store._chunks import first_of
 from lieint_jax.runs.store._description import UnknownNameError, make
-from lieint_jax.runs.store._disk import Disk
-from lieint_jax.runs.store._files import open_storage, open_zarr
-from lieint_jax.runs.store._leaves import Saves, Table, states_in
-from lieint_jax.runs.store._open_archive import open_archive, read_trajectory
 from lieint_jax.runs.store._open_store import check_store
 from lieint_jax.runs.store._published import PublishedArray
 from lieint_jax.runs.store._root import PartState, Root, read_root
-from lieint_jax.runs.store._storage import Address, Url, address
-from lieint_jax.runs.store._untrusted import wrap_errors
 from lieint_jax.types import Step, System, Trajectory, pytree, static
 
 _T = TypeVar("_T")

@@ -25,7 +25,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from lieint_jax.runs.store._chunks import (
+from lieint_jax.runs._job.split import Split
+from lieint_jax.runs._storage.chunks import (
     chunk_files,
     damage_of_chunks,
     damage_of_constants,
@@ -34,10 +35,10 @@ from lieint_jax.runs.store._chunks import (
     in_threads,
     is_along_time,
 )
-from lieint_jax.runs.store._kinds import PROGRESS_KEYS, RUN_KEYS, check_table
-from lieint_jax.runs.store._leaves import Table
-from lieint_jax.runs.store._storage import Storage
-from lieint_jax.runs.store._untrusted import parse_json
+from lieint_jax.runs._storage.kinds import PROGRESS_KEYS, RUN_KEYS, check_table
+from lieint_jax.runs._storage.leaves import Table
+from lieint_jax.runs._storage.storage import Storage
+from lieint_jax.runs._storage.untrusted import parse_json
 
 FORMAT = 6  # the format number of new stores; 0.2 wrote 2, and 0.3.0 wrote 3, or 4 in parts
 ROOT = "zarr.json"  # the metadata of a Zarr 3 group
@@ -46,43 +47,6 @@ CARRY = "checkpoint/"  # begins the names of its other arrays
 _DIGEST = 32  # bytes at the end of a state
 _MAX_HEADER = 2**20
 START = {"commits": 0, "entries": 0, "steps": 0, "complete": False}
-
-
-class Split(NamedTuple):
-    """The members of a run in parts of whole chunks.
-
-    Attributes:
-        members: their number.
-        parts: the number of parts.
-        chunk: the number of members in a chunk.
-    """
-
-    members: int
-    parts: int
-    chunk: int
-
-    @classmethod
-    def into_parts(cls, members: int, count: int, most: int) -> Split:
-        """The split into `count` parts, with chunks of at most `most` members.
-
-        Raises:
-            ValueError: more parts than members.
-        """
-        if count > members:
-            raise ValueError(f"a run of {members} member(s) has at most {members} part(s), got {count}")
-        chunks = count * math.ceil(members / (count * most))
-        chunk = math.ceil(members / chunks)
-        return cls(members, count, chunk if math.ceil(members / chunk) == chunks else members // chunks)
-
-    def chunks(self, k: int) -> range:
-        """The chunks of part k."""
-        every = math.ceil(self.members / self.chunk)
-        return range(k * every // self.parts, (k + 1) * every // self.parts)
-
-    def part(self, k: int) -> range:
-        """The members of part k."""
-        chunks = self.chunks(k)
-        return range(chunks.start * self.chunk, min(chunks.stop * self.chunk, self.members))
 
 
 class PartState(NamedTuple):

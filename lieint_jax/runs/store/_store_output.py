@@ -10,11 +10,11 @@ from typing import Any
 import jax
 import numpy as np
 
-from lieint_jax.runs import _layout
-from lieint_jax.runs._job import Job, Series
-from lieint_jax.runs._layout import Layout, Numbers, Tree
-from lieint_jax.runs._loop import Carry, Change
-from lieint_jax.runs.store._leaves import Table, leaves_by_name, state_from_leaves, store_name
+from lieint_jax.runs._job import devices
+from lieint_jax.runs._job.devices import Layout, Numbers, Tree
+from lieint_jax.runs._job.job import Job, Series
+from lieint_jax.runs._job.loop import Carry, Change
+from lieint_jax.runs._storage.leaves import Table, leaves_by_name, state_from_leaves, store_name
 from lieint_jax.runs.store._writer import Slab, Writer
 from lieint_jax.types import StepInfo
 
@@ -58,7 +58,7 @@ class StoreOutput:
         names = self._job.change_names
         found.setdefault("excess", np.zeros_like(found["residual"]))  # which older stores do not have
         carry = Carry(state, info, found["failed"], Change(**{name: found[name] for name in names}) if names else None)
-        return _layout.placed(self._layout, carry, first=part.start), done["steps"], done["entries"] - 1
+        return devices.placed(self._layout, carry, first=part.start), done["steps"], done["entries"] - 1
 
     def append(self, saved: Tree | Series, number: int) -> None:
         """See `MemoryOutput`. A part of a longer buffer is copied, so that this can be freed."""
@@ -90,14 +90,14 @@ class StoreOutput:
     def _publish_commit(self, carry: Carry, row: int | None, progress: Table) -> None:
         """Publish a commit that all processes have written."""
         layout, complete = self._layout, progress["complete"]
-        checksums = _layout.all_gather(layout.mesh, self._writer.checksums(row, complete)).max(axis=0)
-        arrays = {} if complete else _layout.gather(layout, _leaves_of_carry(carry))
+        checksums = devices.all_gather(layout.mesh, self._writer.checksums(row, complete)).max(axis=0)
+        arrays = {} if complete else devices.gather(layout, _leaves_of_carry(carry))
         self._writer.publish(row, progress, checksums, arrays)
 
     def _settle(self, wait: bool) -> None:
         """Publish the commit in progress if all processes have written it; with `wait`, wait until they have."""
         while self._publish is not None:
-            missing = _layout.all_reduce_max(self._layout.mesh, not self._writer.is_written)[0]
+            missing = devices.all_reduce_max(self._layout.mesh, not self._writer.is_written)[0]
             if not missing:
                 if not self._alone:
                     with self._writer.errors():
@@ -110,7 +110,7 @@ class StoreOutput:
 
     @property
     def _alone(self) -> bool:
-        return _layout.count_processes(self._layout.mesh) == 1
+        return devices.count_processes(self._layout.mesh) == 1
 
     def _slabs(self, carry: Carry, pending: list[tuple[Pending, int]], first: int, last: bool) -> Iterator[Slab]:
         """What a commit writes, piece by piece, computed by the background thread."""
@@ -130,7 +130,7 @@ class StoreOutput:
         layout, members = self._layout, self._layout.local_members
         if not len(members):
             return
-        host = {name: _layout.local_part(layout, x) for name, x in _leaves_of_carry(carry).items()}
+        host = {name: devices.local_part(layout, x) for name, x in _leaves_of_carry(carry).items()}
         kept = {"first_failure": host["failed"]}
         if self._job.reduction is not None:
             names = filter(self._writer.has_array, self._job.change_names if self._job.per_member else ())
@@ -146,7 +146,7 @@ class StoreOutput:
         slabs = [members[k : k + across] for k in range(0, len(members), across)]
         saved = [leaves_by_name(state) | info._asdict() for (info, state), _ in pending]
         for name in saved[0]:
-            pieces = [_layout.local_part(self._layout, rows[name], 1) for rows in saved]
+            pieces = [devices.local_part(self._layout, rows[name], 1) for rows in saved]
             for slab in slabs:
                 own = slice(slab.start - members.start, slab.stop - members.start)
                 rows = [piece[:, own] for piece in pieces]
@@ -174,7 +174,7 @@ class StoreOutput:
     def result(self, carry: Carry) -> None:
         """Wait until everything is written."""
         self._settle(wait=True)
-        _layout.all_gather(self._layout.mesh, [0.0])  # and until all processes are here
+        devices.all_gather(self._layout.mesh, [0.0])  # and until all processes are here
 
 
 def _leaves_of_carry(carry: Carry) -> dict[str, Numbers]:

@@ -11,9 +11,17 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from lieint_jax.runs.store._chunks import REQUESTS, chunk_files, digest_of, dims_of, in_threads, raise_if_damaged, tail
-from lieint_jax.runs.store._files import open_zarr
-from lieint_jax.runs.store._leaves import Table
+from lieint_jax.runs._storage.chunks import (
+    REQUESTS,
+    chunk_files,
+    digest_of,
+    dims_of,
+    in_threads,
+    raise_if_damaged,
+    tail,
+)
+from lieint_jax.runs._storage.files import open_zarr
+from lieint_jax.runs._storage.leaves import Table
 from lieint_jax.runs.store._root import CARRY, ENDS, ROOT, ROWS, START, PartState, Root, UnusablePartError, encode_root
 
 _LEVEL = -1  # of zstd: six times as fast as 0, and 5 % larger, for numbers of simulations

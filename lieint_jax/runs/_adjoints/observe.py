@@ -15,18 +15,18 @@ from jax.typing import ArrayLike
 from lieint_jax import _checks
 from lieint_jax._checks import concrete
 from lieint_jax._xla import compiled
-from lieint_jax.adjoints._reversible import Derivative, checked
-from lieint_jax.adjoints._undo import undoable
-from lieint_jax.runs import (
+from lieint_jax.runs._adjoints.reversible import Derivative, checked
+from lieint_jax.runs._adjoints.undo import undoable
+from lieint_jax.runs._march.clock import (
     MOST_COUNTED,
-    Reached,
     UniformClock,
-    at_output_times,
     refuse_far_times,
     refuse_times,
     splits,
     uniform_clock,
 )
+from lieint_jax.runs._march.driver import Reached
+from lieint_jax.runs._march.integrate import at_output_times
 from lieint_jax.types import State, Step
 
 

@@ -25,10 +25,17 @@ All agree to round-off, since they are derivatives of the same discrete flow. On
 the trajectory itself is accurate.
 """
 
-from lieint_jax.adjoints._observe import observe
-from lieint_jax.adjoints._reversible import RecursiveCheckpointAdjoint, ReversibleAdjoint, reversible, round_trip_error
-from lieint_jax.adjoints._transition import Ellipse, Transition, transition
-from lieint_jax.runs import Adjoint
+from lieint_jax.runs import (
+    Adjoint,
+    Ellipse,
+    RecursiveCheckpointAdjoint,
+    ReversibleAdjoint,
+    Transition,
+    observe,
+    reversible,
+    round_trip_error,
+    transition,
+)
 
 __all__ = [
     "Adjoint",

@@ -16,7 +16,7 @@ from functools import cache, cached_property
 from typing import Any, TypeVar
 from urllib.parse import urlsplit
 
-from lieint_jax.runs.store._storage import Storage, Url
+from lieint_jax.runs._storage.storage import Storage, Url
 
 _T = TypeVar("_T")
 _SECRET = re.compile("SECRET|TOKEN|PASSWORD|ACCESS_KEY|ACCOUNT_KEY|CREDENTIAL|SAS")  # in the names of variables

@@ -18,7 +18,7 @@ from pathlib import Path
 from typing import Any
 
 from lieint_jax import _checks
-from lieint_jax.runs.store._storage import Address
+from lieint_jax.runs._storage.storage import Address
 
 SUFFIXES = (".npz", ".zarr")
 JSON_BYTES, _JSON_DEPTH = 2**26, 64  # the most of a description

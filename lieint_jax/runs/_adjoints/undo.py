@@ -26,11 +26,12 @@ from jax.typing import ArrayLike
 
 from lieint_jax import native
 from lieint_jax._xla import compiled, with_common_axes
-from lieint_jax.diagnostics.tangent import distance
-from lieint_jax.runs import Clock, Reached, at_start, counted, reported, uniform_clock
+from lieint_jax.runs._march.clock import Clock, uniform_clock
+from lieint_jax.runs._march.driver import Reached, at_start, counted, reported
 from lieint_jax.schemes import Composition
 from lieint_jax.types import State, Step
 from lieint_jax.types.shapes import PyTree
+from lieint_jax.types.tangent import distance
 
 
 @partial(compiled, static_argnums=4)

@@ -12,7 +12,10 @@ import numpy as np
 from jax import Array
 
 from lieint_jax._xla import compiled
-from lieint_jax.types import PhaseSpace, State, System, push_forward, time_derivative
+from lieint_jax.types._group import PhaseSpace
+from lieint_jax.types._state import State
+from lieint_jax.types._step import push_forward
+from lieint_jax.types._system import System, time_derivative
 from lieint_jax.types.shapes import PhaseVector, Scalar, TangentVectors
 
 _Aux = TypeVar("_Aux")

@@ -11,7 +11,7 @@ from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
-from lieint_jax.runs.store._storage import Storage
+from lieint_jax.runs._storage.storage import Storage
 
 _STALE = 3600.0  # seconds after which an unfinished store is removed, as that of a process that was killed
 

@@ -7,10 +7,10 @@ from functools import cache
 from pathlib import Path
 from typing import Any
 
-from lieint_jax.runs.store._bucket import Bucket
-from lieint_jax.runs.store._chunks import tail
-from lieint_jax.runs.store._disk import Disk
-from lieint_jax.runs.store._storage import Storage, Url, address
+from lieint_jax.runs._storage.bucket import Bucket
+from lieint_jax.runs._storage.chunks import tail
+from lieint_jax.runs._storage.disk import Disk
+from lieint_jax.runs._storage.storage import Storage, Url, address
 
 
 def open_storage(place: str | Path) -> Storage:

@@ -11,8 +11,8 @@ from typing import Any
 
 import numpy as np
 
-from lieint_jax.runs.store._leaves import Table
-from lieint_jax.runs.store._storage import Address, Storage
+from lieint_jax.runs._storage.leaves import Table
+from lieint_jax.runs._storage.storage import Address, Storage
 
 _MAX_FILES = 10**6  # of an array's row of chunks along time
 REQUESTS = 16  # at the same time

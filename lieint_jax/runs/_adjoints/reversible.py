@@ -14,20 +14,12 @@ from jax.typing import ArrayLike
 from lieint_jax import _checks
 from lieint_jax._deprecated import warn_of_removal
 from lieint_jax._xla import compiled
-from lieint_jax.adjoints._undo import undoable
-from lieint_jax.diagnostics.tangent import distance, swinging
-from lieint_jax.runs import (
-    Adjoint,
-    Clock,
-    GridClock,
-    Reached,
-    integrate,
-    intervals,
-    prepared,
-    saved_states,
-    steps,
-)
+from lieint_jax.runs._adjoints.undo import undoable
+from lieint_jax.runs._march.clock import Clock, GridClock, intervals
+from lieint_jax.runs._march.driver import Reached, prepared, saved_states, steps
+from lieint_jax.runs._march.integrate import Adjoint, integrate
 from lieint_jax.types import State, Step, Trajectory, checked_step, promoted, start_time
+from lieint_jax.types.tangent import distance, swinging
 
 Derivative = Literal["reversible", "checkpoint"]
 

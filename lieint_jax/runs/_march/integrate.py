@@ -16,7 +16,7 @@ from jax.typing import ArrayLike
 
 from lieint_jax import _checks, native
 from lieint_jax._xla import compiled
-from lieint_jax.runs._clock import (
+from lieint_jax.runs._march.clock import (
     MOST_COUNTED,
     Clock,
     GridClock,
@@ -29,7 +29,7 @@ from lieint_jax.runs._clock import (
     saves,
     splits,
 )
-from lieint_jax.runs._driver import Reached, at_start, prepared, saved_states
+from lieint_jax.runs._march.driver import Reached, at_start, prepared, saved_states
 from lieint_jax.types import State, Step, StepError, StepInfo, Trajectory, checked_step, promoted, start_time
 
 _LEAST_BYTES, _MOST_BYTES = 2**20, 2**26  # of the saved states that the loop of a run is compiled for

@@ -14,8 +14,8 @@ from jax import Array
 from lieint_jax import dates
 from lieint_jax._checks import concrete
 from lieint_jax._version import __version__
-from lieint_jax.runs._job import Job, MemberSummary, list_members
-from lieint_jax.runs.store._leaves import Table, leaves_by_name
+from lieint_jax.runs._job.job import Job, MemberSummary, list_members
+from lieint_jax.runs._storage.leaves import Table, leaves_by_name
 from lieint_jax.types import State, Step, Trajectory, periods_of
 
 _version = cache(version)  # which reads a file
@@ -154,18 +154,22 @@ def compile_map(structure: Any, batch: bool, own_step: bool) -> Callable[..., An
 
 
 def momentum(step: Step, state: State) -> Array:
+    """The momentum map of a step's system."""
     return step.system.momentum(state)
 
 
 def defect(step: Step, state: State) -> Array:
+    """How far a state is off the phase space of a step's system."""
     return step.system.phase_space.defect(state)
 
 
 def periods(step: Any, state: State) -> Any:
+    """The periods of a tumbling body."""
     return periods_of(step.system, state)
 
 
 def from_start(series: Array) -> Array:
+    """The changes of a series since its first entry."""
     return series - series[:1]
 
 

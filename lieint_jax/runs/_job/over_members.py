@@ -11,9 +11,9 @@ from jax import Array, lax
 from jax.sharding import Mesh, NamedSharding, PartitionSpec
 from jax.typing import ArrayLike
 
-from lieint_jax.runs import processes
-from lieint_jax.runs._layout import AXIS, Tree, checked_mesh, count_processes
-from lieint_jax.runs._loop import Axes
+from lieint_jax.runs._job import processes
+from lieint_jax.runs._job.devices import AXIS, Tree, checked_mesh, count_processes
+from lieint_jax.runs._job.loop import Axes
 
 
 def over_members(function: Callable[..., Tree], in_axes: Axes = 0, mesh: Mesh | None = None) -> Callable[..., Tree]:

@@ -16,9 +16,9 @@ from jax.typing import ArrayLike
 
 from lieint_jax import native
 from lieint_jax._xla import compiled
-from lieint_jax.runs._clock import Clock, GridClock, UniformClock
-from lieint_jax.runs._driver import prepared
-from lieint_jax.runs._layout import Numbers, Tree, on_host
+from lieint_jax.runs._job.devices import Numbers, Tree, on_host
+from lieint_jax.runs._march.clock import Clock, GridClock, UniformClock
+from lieint_jax.runs._march.driver import prepared
 from lieint_jax.types import State, Step, StepInfo, energy_less_work
 
 Reduction = Callable[[Step, State], Array]

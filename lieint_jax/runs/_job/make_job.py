@@ -14,13 +14,13 @@ from numpy.typing import ArrayLike
 
 from lieint_jax import _checks
 from lieint_jax.native import make_once
-from lieint_jax.runs import _layout
-from lieint_jax.runs._clock import Clock, GridClock, UniformClock, clock_of, intervals, outputs, refuse_times
-from lieint_jax.runs._job import Job, MakeStates, chunk_members, list_members
-from lieint_jax.runs._loop import Reduction, energy
-from lieint_jax.runs.store._leaves import leaves_by_name
-from lieint_jax.runs.store._root import Split
-from lieint_jax.runs.store._storage import StoreOptions
+from lieint_jax.runs._job import devices
+from lieint_jax.runs._job.job import Job, MakeStates, chunk_members, list_members
+from lieint_jax.runs._job.loop import Reduction, energy
+from lieint_jax.runs._job.split import Split
+from lieint_jax.runs._march.clock import Clock, GridClock, UniformClock, clock_of, intervals, outputs, refuse_times
+from lieint_jax.runs._storage.leaves import leaves_by_name
+from lieint_jax.runs._storage.storage import StoreOptions
 from lieint_jax.types import PhaseSpace, State, Step, callable_pytree, checked_step, promoted
 from lieint_jax.types.members import member_axis
 
@@ -110,7 +110,7 @@ def make_jobs(
         first = _make_members(step, made, range(1), options)
         own_step = promoted(checked_step(step), first.initial)[0]
 
-        def repeat(x: _layout.Numbers) -> np.ndarray:
+        def repeat(x: devices.Numbers) -> np.ndarray:
             return np.broadcast_to(np.asarray(x)[:1], (made.members, *x.shape[1:]))  # a view that needs no memory
 
         t0: Any = repeat(first.t0) if first.own_times else first.t0  # pyright: ignore
@@ -229,7 +229,7 @@ def _check_size(states: State, entries: int, reduction: Reduction | None, store:
 def _make_clock(
     step: Step,
     states: State,
-    t0: _layout.Numbers | None,
+    t0: devices.Numbers | None,
     dtype: np.dtype,
     dt: jax.typing.ArrayLike | None,
     num_steps: int | None,
@@ -256,7 +256,7 @@ def _entries_at_times(
     return times, nodes, times - np.asarray(clock.time(nodes)).astype(dtype), None
 
 
-def _split_time(step: Step, states: State, made: range | None) -> tuple[State, _layout.Numbers | None]:
+def _split_time(step: Step, states: State, made: range | None) -> tuple[State, devices.Numbers | None]:
     """The checked states without their time, with the member axis on every leaf, and their time: a scalar if shared.
 
     If the step has a time of its own, it stays in the states, one for each member. Equal times of members that a

@@ -16,11 +16,11 @@ from jax.sharding import Mesh
 
 from lieint_jax import native
 from lieint_jax.native import UnsupportedError, computed_by, unsupported_if_it_fails, warn_once
-from lieint_jax.runs import _layout, _loop
-from lieint_jax.runs._clock import GridClock, power_of_two
-from lieint_jax.runs._job import Job
-from lieint_jax.runs._layout import Layout, Numbers, Tree
-from lieint_jax.runs._loop import Axes, Carry, Given, Intervals, Reduction, Span
+from lieint_jax.runs._job import devices, loop
+from lieint_jax.runs._job.devices import Layout, Numbers, Tree
+from lieint_jax.runs._job.job import Job
+from lieint_jax.runs._job.loop import Axes, Carry, Given, Intervals, Reduction, Span
+from lieint_jax.runs._march.clock import GridClock, power_of_two
 from lieint_jax.types import State, Step
 
 _log = logging.getLogger(__name__)
@@ -102,17 +102,17 @@ class Engine:
         job = _few_members(self.job)
         given = self._given(job.step, job.t0, job.states)
         value = None if job.reduction is None else np.zeros(job.members, job.dtype)
-        ends = np.ones(2, _loop.step_dtype())
+        ends = np.ones(2, loop.step_dtype())
         rests = None if job.rests is None else np.full(ends.shape, job.first_dt / 2, job.dtype)
         spans = Span(0 * ends, ends, rests, np.ones(ends.shape, bool))
-        carry = _loop.start(job.states, job.first_change(value, None))
+        carry = loop.start(job.states, job.first_change(value, None))
         return carry, given._replace(quantity=value), spans, np.int32(1)
 
     def _members(self, arguments: tuple[Tree, ...], which: int | slice) -> tuple[Tree, ...]:
         """The arguments for some of these members."""
 
         def part(axis: int | None, tree: Tree) -> Tree:
-            return tree if axis is None else jax.tree.map(lambda x: _layout.on_host(x)[which], tree)
+            return tree if axis is None else jax.tree.map(lambda x: devices.on_host(x)[which], tree)
 
         chosen = jax.tree.map(part, self._axes, arguments[:2], is_leaf=lambda x: x is None)
         return *chosen, *arguments[2:]
@@ -146,15 +146,15 @@ class Engine:
     def start(self, layout: Layout) -> tuple[Given, Carry]:
         """What is given for the members of a process, and their carry."""
         job = self.job
-        step = _layout.placed(layout, job.step, own=job.step_axis is not None)
-        states = _layout.placed(layout, job.states)
-        t0 = _layout.placed(layout, job.t0, own=job.own_times)
+        step = devices.placed(layout, job.step, own=job.step_axis is not None)
+        states = devices.placed(layout, job.states)
+        t0 = devices.placed(layout, job.t0, own=job.own_times)
         given = self._given(step, t0, states)
         if job.reduction is None:
-            return given, _loop.start(states, None)
+            return given, loop.start(states, None)
         value = self.quantity(job.reduction, given, states, 0)
         reached = None if job.condition is None else self.quantity(job.condition, given, states, 0)
-        return given._replace(quantity=value), _loop.start(states, job.first_change(value, reached))
+        return given._replace(quantity=value), loop.start(states, job.first_change(value, reached))
 
     def _given(self, step: Step, t0: Numbers | None, states: State) -> Given:
         """What is given for members of these steps and initial states."""
@@ -165,7 +165,7 @@ class Engine:
         """A function of step and state at node n, for all members; without one the step with its constants."""
         plain = given._replace(step=given.step if given.plain is None else given.plain, plain=None, quantity=None)
         with computed_by(self.name, self._threads):
-            return _loop.of_members(function, self._plain)(plain, states, np.asarray(n, _loop.step_dtype()))
+            return loop.of_members(function, self._plain)(plain, states, np.asarray(n, loop.step_dtype()))
 
     def run_intervals(
         self, given: Given, carry: Carry, done: int, saved: int, ends: np.ndarray, rows: int
@@ -174,7 +174,7 @@ class Engine:
 
         Before them there were `done` steps, and `saved` entries after the start.
         """
-        dtype, rests, count = _loop.step_dtype(), self.job.rests, len(ends)
+        dtype, rests, count = loop.step_dtype(), self.job.rests, len(ends)
         first = np.concatenate([[done], ends[:-1]]).astype(dtype)
         begins = (np.arange(count) > 0) | (done == self.job.nodes[saved])
         if rests is not None:

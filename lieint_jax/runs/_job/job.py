@@ -8,11 +8,11 @@ from typing import Any, NamedTuple
 import jax
 import numpy as np
 
-from lieint_jax.runs import _layout
-from lieint_jax.runs._clock import Clock
-from lieint_jax.runs._layout import Numbers, Tree
-from lieint_jax.runs._loop import Change, Reduction
-from lieint_jax.runs.store._leaves import Saves, shared_time
+from lieint_jax.runs._job import devices
+from lieint_jax.runs._job.devices import Numbers, Tree
+from lieint_jax.runs._job.loop import Change, Reduction
+from lieint_jax.runs._march.clock import Clock
+from lieint_jax.runs._storage.leaves import Saves, shared_time
 from lieint_jax.types import State, Step, Trajectory
 
 _CHUNK_BYTES, _BUFFER_BYTES = 2**22, 2**28  # the most bytes in a chunk on disk, and in the buffer of all members' saves
@@ -142,7 +142,7 @@ class Job(NamedTuple):
         """The job of some of the members."""
 
         def of(x: Numbers) -> Numbers:
-            return _layout.on_host(x)[which]
+            return devices.on_host(x)[which]
 
         step = self.step if self.step_axis is None else jax.tree.map(of, self.step)
         t0: Any = of(self.t0) if self.own_times else self.t0  # pyright: ignore
@@ -289,6 +289,7 @@ def _of_members(summary: Summary | MemberSummary) -> dict[str, Tree]:
 
 
 def with_member_axis(tree: Tree, axis: int = 0) -> Tree:
+    """The arrays of one body with a member axis of length 1."""
     return jax.tree.map(lambda x: np.expand_dims(np.asarray(x), axis), tree)
 
 
