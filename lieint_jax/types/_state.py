@@ -16,7 +16,19 @@ from lieint_jax.types.members import Axis, map_over_run
 from lieint_jax.types.record import record
 from lieint_jax.types.shapes import Flag, PyTree, Time
 
-__all__ = ["State", "StepInfo", "Trajectory", "all_finite", "clock", "counts_work", "periods_of"]
+__all__ = [
+    "State",
+    "StepInfo",
+    "Trajectory",
+    "all_finite",
+    "clock",
+    "counts_work",
+    "leaves_by_name",
+    "periods_of",
+    "state_from_leaves",
+]
+
+_EXTRA = "extra."  # begins the name of a leaf of `State.extra`: extra.NAME
 
 
 @record
@@ -178,3 +190,16 @@ def clock(state: State) -> Time:
 def all_finite(tree: PyTree) -> Flag:
     """Whether all arrays of a tree are finite, a scalar."""
     return jnp.all(jnp.stack([jnp.all(jnp.isfinite(x)) for x in jax.tree.leaves(tree)]))
+
+
+def leaves_by_name(state: State) -> dict[str, Any]:
+    """The arrays of a state by the names that stores and files have for them: q, p, t, work, and extra.NAME."""
+    own = {name: x for name, x in state._asdict().items() if name != "extra" and x is not None}
+    return own | {f"{_EXTRA}{name}": x for name, x in (state.extra or {}).items()}
+
+
+def state_from_leaves(arrays: dict[str, Any]) -> State:
+    """The state of these arrays: the inverse of `leaves_by_name`."""
+    extra = {name.removeprefix(_EXTRA): x for name, x in arrays.items() if name.startswith(_EXTRA)}
+    own = {name: x for name, x in arrays.items() if not name.startswith(_EXTRA)}
+    return State(**own, extra=extra or None)

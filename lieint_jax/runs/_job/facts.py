@@ -15,8 +15,8 @@ from lieint_jax import dates
 from lieint_jax._checks import concrete
 from lieint_jax._version import __version__
 from lieint_jax.runs._job.job import Job, MemberSummary, list_members
-from lieint_jax.runs._storage.leaves import Table, leaves_by_name
-from lieint_jax.types import State, Step, Trajectory, periods_of
+from lieint_jax.runs._storage.leaves import Table
+from lieint_jax.types import State, Step, Trajectory, leaves_by_name, periods_of
 
 _version = cache(version)  # which reads a file
 _SECONDS = {"1": 1.0, "s": 1.0, "min": 60.0, "h": 3600.0, "d": 86400.0, "day": 86400.0}  # of units of time

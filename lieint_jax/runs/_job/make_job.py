@@ -19,9 +19,8 @@ from lieint_jax.runs._job.job import Job, MakeStates, chunk_members, list_member
 from lieint_jax.runs._job.loop import Reduction, energy
 from lieint_jax.runs._job.split import Split
 from lieint_jax.runs._march.clock import Clock, GridClock, UniformClock, clock_of, intervals, outputs, refuse_times
-from lieint_jax.runs._storage.leaves import leaves_by_name
 from lieint_jax.runs._storage.storage import StoreOptions
-from lieint_jax.types import PhaseSpace, State, Step, callable_pytree, checked_step, promoted
+from lieint_jax.types import PhaseSpace, State, Step, callable_pytree, checked_step, leaves_by_name, promoted
 from lieint_jax.types.members import member_axis
 
 _ENTRY, _SERIES = 2 * 8, 5 * 8  # bytes of an entry's time and node, and of its numbers in the series of `reduce`

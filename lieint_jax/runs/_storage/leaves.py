@@ -6,23 +6,9 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from lieint_jax.types import State
+from lieint_jax.types import State, state_from_leaves
 
 Table = dict[str, Any]  # an object of JSON
-_EXTRA = "extra."  # begins the name of a leaf of `State.extra`: extra.NAME
-
-
-def leaves_by_name(state: State) -> Table:
-    """The arrays of a state by the names that stores and files have for them: q, p, t, work, and extra.NAME."""
-    own = {name: x for name, x in state._asdict().items() if name != "extra" and x is not None}
-    return own | {f"{_EXTRA}{name}": x for name, x in (state.extra or {}).items()}
-
-
-def state_from_leaves(arrays: Table) -> State:
-    """The state of these arrays: the inverse of `leaves_by_name`."""
-    extra = {name.removeprefix(_EXTRA): x for name, x in arrays.items() if name.startswith(_EXTRA)}
-    own = {name: x for name, x in arrays.items() if not name.startswith(_EXTRA)}
-    return State(**own, extra=extra or None)
 
 
 def store_name(name: str) -> str:

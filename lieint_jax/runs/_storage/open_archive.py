@@ -14,9 +14,9 @@ import numpy as np
 
 from lieint_jax import _checks
 from lieint_jax.runs._storage.kinds import ARCHIVE_KEYS, COUNT, REALS, STORE_KEYS, check_run, check_table, expect
-from lieint_jax.runs._storage.leaves import Table, leaves_by_name, state_from_leaves
+from lieint_jax.runs._storage.leaves import Table
 from lieint_jax.runs._storage.untrusted import JSON_BYTES, UnreadableError, parse_json, refuse_special, wrap_errors
-from lieint_jax.types import StepInfo, Trajectory
+from lieint_jax.types import StepInfo, Trajectory, leaves_by_name, state_from_leaves
 
 TIME = "state.t"  # the times of the states in an .npz, where t is the time of the trajectory
 _NO_PATH = str.maketrans("/\\", "__")  # of the characters that the name of an array cannot have

@@ -9,10 +9,10 @@ from numpy.typing import DTypeLike
 
 from lieint_jax.runs._job.devices import Numbers
 from lieint_jax.runs._job.job import Job
-from lieint_jax.runs._storage.leaves import Table, leaves_by_name, store_name
+from lieint_jax.runs._storage.leaves import Table, store_name
 from lieint_jax.runs._storage.storage import StoreOptions
 from lieint_jax.runs.store._writer import Column
-from lieint_jax.types import labeled
+from lieint_jax.types import labeled, leaves_by_name
 
 _RESIDUAL = "largest residual of a step since the entry before"
 _MEMBER_TEXTS = {

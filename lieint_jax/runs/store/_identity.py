@@ -21,11 +21,11 @@ from lieint_jax.runs._job.facts import package_versions
 from lieint_jax.runs._job.job import Job
 from lieint_jax.runs._job.loop import compiler_options
 from lieint_jax.runs._march.clock import GridClock
-from lieint_jax.runs._storage.leaves import Table, leaves_by_name
+from lieint_jax.runs._storage.leaves import Table
 from lieint_jax.runs._storage.storage import Address
 from lieint_jax.runs.store._digest import NotDigestible, digest, python_of
 from lieint_jax.runs.store._root import FORMAT
-from lieint_jax.types import State
+from lieint_jax.types import State, leaves_by_name
 
 _MACHINE = ("device", "engine", "compiler_options", "XLA_FLAGS")  # keys of a description, besides the versions
 _NO_DIGEST = "cannot be compared: "  # begins the reason that stands in place of a digest in a description

@@ -14,9 +14,9 @@ from lieint_jax.runs._job import devices
 from lieint_jax.runs._job.devices import Layout, Numbers, Tree
 from lieint_jax.runs._job.job import Job, Series
 from lieint_jax.runs._job.loop import Carry, Change
-from lieint_jax.runs._storage.leaves import Table, leaves_by_name, state_from_leaves, store_name
+from lieint_jax.runs._storage.leaves import Table, store_name
 from lieint_jax.runs.store._writer import Slab, Writer
-from lieint_jax.types import StepInfo
+from lieint_jax.types import StepInfo, leaves_by_name, state_from_leaves
 
 Pending = Any  # saved rows, or the series of a reduction by name
 SLAB = 8  # chunks of members that are joined along time, and written, at once
