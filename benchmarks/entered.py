@@ -3,8 +3,9 @@
     python benchmarks/entered.py
 
 Each call is made in a process of its own, the first time and again. Counted by `sys.setprofile`; bodies of classes, of
-modules that the first call imports, are no functions. `python benchmarks/entered.py "CALL"` lists the functions of the
-first call by file, such as those of "li.run(step, many, 0.05, 40, progress=False)".
+modules that the first call imports, are no functions. Those in parentheses are of the compiler, `native`, in whose
+place other packages have XLA's, in C++. `python benchmarks/entered.py "CALL"` lists the functions of the first call by
+file, such as those of "li.run(step, many, 0.05, 40, progress=False)".
 """
 
 import subprocess
@@ -35,7 +36,8 @@ def count(call):
     call()
     sys.setprofile(None)
     threading.setprofile(None)
-    print(len({file for file, _ in entered}), len(entered))
+    own = sum(file.startswith(os.path.join(root, "native")) for file, _ in entered)
+    print(len({file for file, _ in entered}), len(entered), own)
 def command(*arguments):
     from lieint_jax.app.command import cli
     os.chdir(folder.name)
@@ -57,7 +59,7 @@ def output(*lines: str) -> list[str]:
 
 
 def counts(call: str) -> list[list[int]]:
-    """The numbers of files and of functions that a call enters, the first time and again."""
+    """The numbers of files, of functions, and of these of the compiler that a call enters, first and again."""
     return [list(map(int, line.split())) for line in output(*[f"count(lambda: {call})"] * 2)]
 
 
@@ -71,5 +73,5 @@ if __name__ == "__main__":
     print(f"Of {len(list((Path(__file__).parents[1] / 'lieint_jax').rglob('*.py')))} files:\n")
     print("| call | files, first | functions, first | files, again | functions, again |\n|---|---|---|---|---|")
     for name, call in CALLS.items():
-        (a, b), (c, d) = counts(call)
-        print(f"| {name} | {a} | {b} | {c} | {d} |")
+        (a, b, n), (c, d, m) = counts(call)
+        print(f"| {name} | {a} | {b} ({n}) | {c} | {d} ({m}) |")

@@ -10,7 +10,7 @@ import uuid
 from concurrent.futures import BrokenExecutor
 from functools import lru_cache, partial
 from pathlib import Path
-from typing import Any, Literal, Protocol, Unpack, overload
+from typing import Any, Literal, Protocol, Unpack, overload, runtime_checkable
 
 import jax
 import numpy as np
@@ -32,6 +32,7 @@ _MISTAKES = (ArithmeticError, AssertionError, AttributeError, ImportError, Looku
 _OWN = ("mesh", "part", "progress", "resume")  # arguments of `run` that each task has for itself
 
 
+@runtime_checkable
 class Executor(Protocol):
     """What `submit` needs of an executor, such as those of `concurrent.futures`, Dask, mpi4py, loky and submitit."""
 
@@ -137,7 +138,7 @@ def submit(
         raise ValueError(f"{refused[0]} is not for a run in parts: each task has its own")
     if store is None:
         raise ValueError("the parts of a run need a store that all workers reach: store=PATH.zarr, or a URL")
-    if isinstance(executor, type) or not callable(getattr(executor, "submit", None)):
+    if isinstance(executor, type) or not isinstance(executor, Executor):
         raise TypeError(
             "executor must have the method submit, such as concurrent.futures.ThreadPoolExecutor(2) or "
             f"client.get_executor() of Dask, got {executor!r}"

@@ -255,7 +255,7 @@ def _is_names(parameters: PyTree) -> bool:
 
 def _path(path: Sequence[Any]) -> tuple[str, ...]:
     """The names along the path to a leaf."""
-    return tuple(str(getattr(key, "name", getattr(key, "key", getattr(key, "idx", key)))) for key in path)
+    return tuple(jax.tree_util.keystr((key,), simple=True) for key in path)
 
 
 def _places(name: str, step: Step, leaves: list[tuple[tuple[str, ...], Any]]) -> tuple[int, ...]:

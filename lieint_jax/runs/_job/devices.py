@@ -10,6 +10,7 @@ from __future__ import annotations
 import contextlib
 import math
 import os
+import sys
 from collections.abc import Callable
 from functools import cache
 from typing import Any, NamedTuple, TypeVar, cast
@@ -70,8 +71,7 @@ def count_cores() -> int:
     The least of those on which it may run, of the CPU quota of its control group (1 for half a CPU), and of
     SLURM_CPUS_PER_TASK and OMP_NUM_THREADS, by which SLURM, Dask, Ray and joblib give each worker its share.
     """
-    affinity = getattr(os, "sched_getaffinity", None)  # not on every system
-    limits = [float(len(affinity(0)) if affinity else os.cpu_count() or 1)]
+    limits = [float(len(os.sched_getaffinity(0)) if sys.platform == "linux" else os.cpu_count() or 1)]
     for quota in _checks.limits_of_groups("cpu", "cpu.max", "cpu.cfs_quota_us", "cpu.cfs_period_us"):
         limits += [quota[0] / quota[1]] if quota[0] > 0 else []
     shares = (os.environ.get(name, "").split(",")[0] for name in ("SLURM_CPUS_PER_TASK", "OMP_NUM_THREADS"))
@@ -135,7 +135,8 @@ def placed(layout: Layout, tree: _T, own: bool = True, first: int = 0) -> _T:
 
 def on_host(x: Numbers) -> Numbers:
     """An array of NumPy, where there is one: random keys have none."""
-    return x if jax.numpy.issubdtype(getattr(x, "dtype", float), jax.dtypes.extended) else np.asarray(x)
+    is_key = isinstance(x, jax.Array) and jax.numpy.issubdtype(x.dtype, jax.dtypes.extended)
+    return x if is_key else np.asarray(x)
 
 
 def _on_cpu(layout: Layout) -> bool:

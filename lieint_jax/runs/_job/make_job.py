@@ -69,14 +69,14 @@ def is_batch(step: Step, states: State, own_step: bool) -> bool:
     if own_step:
         step = jax.tree.map(lambda x: x[0], step)
     own = step.system.phase_space.origin
-    axes = {name: np.ndim(getattr(states, name)) - np.ndim(getattr(own, name)) for name in ("q", "p")}
-    if axes["q"] != axes["p"] or axes["q"] not in (0, 1):
+    more = np.ndim(states.q) - np.ndim(own.q)
+    if more != np.ndim(states.p) - np.ndim(own.p) or more not in (0, 1):
         q, p, needed = np.shape(states.q), np.shape(states.p), (np.shape(own.q), np.shape(own.p))
         raise ValueError(
             f"states of {type(step.system).__name__} have q of shape {needed[0]} and p of shape {needed[1]}, those of "
             f"a batch one leading axis more; got q {q} and p {p}"
         )
-    return axes["q"] == 1
+    return more == 1
 
 
 def check_own_steps(step: Step, members: int | None) -> None:

@@ -67,6 +67,10 @@ class UniformClock(NamedTuple):
             return self.t0 + _times(n, self.dt)
         return self.t0 + _times(n, self.coarse) + _times(n, self.dt - self.coarse)
 
+    def with_room(self) -> UniformClock:
+        """The clock itself, which has room for any number of steps."""
+        return self
+
     def node(self, t: Array, num_steps: ArrayLike) -> Array:
         """The last node that is not after the time t."""
         assert self.t0 is not None

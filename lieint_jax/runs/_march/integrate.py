@@ -199,7 +199,7 @@ def of_any_length(
     """
     if save_every > MOST_COUNTED or not _checks.stands_alone(step, state, clock):
         return None
-    room = clock.with_room() if isinstance(clock, GridClock) else clock
+    room = clock.with_room()
     return _on_host(_padded_trajectory(step, state, room, num_saves, save_every, most), num_saves)
 
 
@@ -245,7 +245,7 @@ def _at_any_times(step: Step, state: State, clock: Clock, save_at: Array, num_st
     rows = rows_for(state, save_at.size)
     if not rows or not _checks.stands_alone(step, state, clock, save_at):
         return None
-    room = clock.with_room() if isinstance(clock, GridClock) else clock
+    room = clock.with_room()
     wanted: tuple[Any, ...] = np.resize(save_at, rows), np.int32(num_steps), np.int32(save_at.size)
     found = _at_times(step, state, room, *wanted)
     run = _on_host(found, save_at.size)

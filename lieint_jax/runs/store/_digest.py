@@ -222,7 +222,8 @@ def _plain_method(value: object) -> object:
         return value.fget
     if isinstance(value, functools.cached_property):
         return value.func
-    value = getattr(value, "__func__", value)
+    if isinstance(value, MethodType | classmethod | staticmethod):
+        value = value.__func__
     return inspect.unwrap(value) if callable(value) else value
 
 
