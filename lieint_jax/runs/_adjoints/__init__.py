@@ -1,0 +1,1 @@
+"""Derivatives of whole runs: by checkpoints, by undoing steps, transition matrices."""
