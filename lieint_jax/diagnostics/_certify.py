@@ -263,11 +263,12 @@ def _on_arrays(step: Step) -> Step:
 
     The derivative of a step on SO(4) written out in scalars has 28 000 operations.
     """
-    group = getattr(step.system, "group", None)
-    if not isinstance(group, MatrixGroup) or not group.unrolled or "system" not in _fields(step):
-        return step
-    system: Any = dataclasses.replace(cast("Any", step.system), group=matrix(group.basis, group.name, unrolled=False))
-    return dataclasses.replace(cast("Any", step), system=system)
+    match step.system:
+        case object(group=MatrixGroup(unrolled=True) as group) if "system" in _fields(step):
+            on_arrays = matrix(group.basis, group.name, unrolled=False)
+            system: Any = dataclasses.replace(cast("Any", step.system), group=on_arrays)
+            return dataclasses.replace(cast("Any", step), system=system)
+    return step
 
 
 def _fields(step: object) -> set[str]:
