@@ -75,9 +75,9 @@ def _encode(value: Any, at: str, arrays: dict[str, np.ndarray]) -> Any:
             return {"scenario": value.model_dump()}
         case dict():
             return {"dict": [[key, encode_child(key, inner)] for key, inner in value.items()]}
-        case object(_fields=_):
+        case object(_fields=_, _asdict=named):
             kind = f"{type(value).__module__}:{type(value).__qualname__}"
-            return {"type": kind, "fields": {name: encode_child(name, x) for name, x in value._asdict().items()}}
+            return {"type": kind, "fields": {name: encode_child(name, x) for name, x in named().items()}}
         case tuple() | list():
             return {type(value).__name__: [encode_child(k, inner) for k, inner in enumerate(value)]}
     raise TypeError(f"{at} is of type {type(value).__name__}, which cannot be written")
@@ -109,7 +109,7 @@ def _find_class(name: str, own: ModuleType | None = None) -> Any:
     home = importlib.import_module(module) if module.split(".")[0] == _PACKAGE else None
     if own is not None and module == own.__name__:
         home = own
-    found = None if home is None else getattr(home, kind)
-    if not (isinstance(found, type) and issubclass(found, tuple) and hasattr(found, "_fields")):
-        raise ValueError(f"{name} is no named tuple of {_PACKAGE}; results of your own study need --study FILE.py")
-    return found
+    match home and getattr(home, kind):
+        case object(_fields=_) as found if isinstance(found, type) and issubclass(found, tuple):
+            return found
+    raise ValueError(f"{name} is no named tuple of {_PACKAGE}; results of your own study need --study FILE.py")
