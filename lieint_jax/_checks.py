@@ -13,7 +13,7 @@ import unicodedata
 import warnings
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any, Protocol, runtime_checkable
 
 import jax
 import jax.numpy as jnp
@@ -30,6 +30,7 @@ except ImportError:  # another JAX
 Input = Any  # an argument as a user passes it: a number, a list, an array, a tracer, or something invalid
 
 
+@runtime_checkable
 class RotationLike(Protocol):
     """A `scipy.spatial.transform.Rotation`, recognized by its methods."""
 
@@ -62,6 +63,11 @@ def printable(value: object, most: int = 200, keep: str = "") -> str:
 def name_of(function: object) -> str:
     """The name of a function, or else of its class."""
     return getattr(function, "__name__", type(function).__name__)
+
+
+def dtype_of(value: object) -> np.dtype | None:
+    """The type of the numbers of an array of any library, of its shape and type, or of a tracer; or else None."""
+    return getattr(value, "dtype", None)
 
 
 def snake_case(name: str) -> str:
@@ -125,9 +131,9 @@ def on_host() -> Iterator[None]:
 
 def as_array(value: Input, dtype: DTypeLike | None = None) -> Array:
     """`jnp.asarray`, but without compiling a program for numbers and lists."""
-    typed = dtype is not None or hasattr(value, "dtype")
-    if typed and _on_host.get() and concrete(value):
-        kind = jax.dtypes.canonicalize_dtype(value.dtype if dtype is None else dtype)
+    kind = dtype_of(value) if dtype is None else dtype
+    if kind is not None and _on_host.get() and concrete(value):
+        kind = jax.dtypes.canonicalize_dtype(kind)
         return np.asarray(value, kind)  # pyright: ignore[reportReturnType]
     if isinstance(value, Array) or not concrete(value) or staged():
         return jnp.asarray(value, dtype)
@@ -147,7 +153,7 @@ def real_array(
     try:
         if isinstance(value, int) and not isinstance(value, bool):
             value = float(value)
-        array = as_array(value, None if like is None or hasattr(value, "dtype") else like.dtype)
+        array = as_array(value, None if like is None or dtype_of(value) is not None else like.dtype)
     except (TypeError, ValueError, OverflowError) as error:
         raise ValueError(f"{name} must be an array of real numbers, got {value!r}") from error
     floating = jnp.issubdtype(array.dtype, jnp.floating)
@@ -237,7 +243,7 @@ def function(name: str, given: Callable[..., object], of: str, shape: tuple[int,
         raise ValueError(
             f"{name} must be a function of {of}, which JAX can trace, with {wanted} as its value; it fails: {reason}"
         ) from error
-    dtype = getattr(value, "dtype", None)
+    dtype = dtype_of(value)
     if dtype is None or value.shape != shape or not jnp.issubdtype(dtype, jnp.floating):
         got = repr(value) if dtype is None else f"shape {value.shape} and dtype {dtype}"
         raise ValueError(f"{name} must be a function of {of} with {wanted} as its value, got {got}")
@@ -380,7 +386,7 @@ def inertia(value: Input, stacklevel: int = 3) -> Array:
     Moments that violate the triangle inequality (Jᵢ ≤ Jⱼ + Jₖ) belong to no distribution of mass. They cause a warning,
     not an error, since such pseudo-inertias are in use.
     """
-    if callable(value) and not hasattr(value, "inertia"):
+    if callable(value):
         raise ValueError(f"inertia must be an array, got {value!r}; a function of time: systems.inertia_in_time")
     array = positive_definite("inertia", value)
     if not concrete(array):
@@ -408,9 +414,12 @@ def of_one_system(name: str, value: Input, d: int = 3) -> None:
 
 def of_shapes(attribute: str, value: Input) -> Input:
     """This attribute of each of several shapes, stacked; any other value as it is. Moments (3,) may become (3, 3)."""
-    if not isinstance(value, list | tuple) or not value or not all(hasattr(x, attribute) for x in value):
+    if not isinstance(value, list | tuple) or not value:
         return value
-    each = [getattr(x, attribute) for x in value]
+    try:
+        each = [getattr(x, attribute) for x in value]
+    except AttributeError:  # numbers
+        return value
     if len({x.ndim for x in each}) > 1:
         each = [jnp.diag(x) if x.ndim == 1 else x for x in each]
     return jnp.stack(each)
@@ -421,8 +430,7 @@ def positive_definite(name: str, value: Input, d: int = 3, *, mixed_units: bool 
 
     With `mixed_units`, as a metric of rotations and translations has, Jᵢⱼ/√(JᵢᵢJⱼⱼ) is judged.
     """
-    value = getattr(value, "inertia", value)
-    array = real_array(name, value, (d,), (d, d))
+    array = real_array(name, getattr(value, "inertia", value), (d,), (d, d))
     if not concrete(array):
         return array
     J = np.asarray(array, float)
@@ -454,12 +462,9 @@ def _moments(array: Array | np.ndarray) -> np.ndarray:
 def quaternions(attitude: Input) -> Input:
     """The quaternions (w, x, y, z) of a scipy `Rotation`, (4,) or (N, 4), or of a list of them; else what was given."""
     if isinstance(attitude, list | tuple):
-        return [quaternions(one) for one in attitude] if any(map(_is_rotation, attitude)) else attitude
-    return np.roll(np.asarray(attitude.as_quat()), 1, axis=-1) if _is_rotation(attitude) else attitude
-
-
-def _is_rotation(attitude: Input) -> bool:
-    return hasattr(attitude, "as_quat") and hasattr(attitude, "as_matrix")
+        given = any(isinstance(x, RotationLike) for x in attitude)
+        return [quaternions(one) for one in attitude] if given else attitude
+    return np.roll(np.asarray(attitude.as_quat()), 1, axis=-1) if isinstance(attitude, RotationLike) else attitude
 
 
 def unit_vector(name: str, value: Input, *shapes: Sequence[int], like: Array | None = None) -> Array:
@@ -512,7 +517,7 @@ def nearly_unit(name: str, q: np.ndarray, most: float = PRINTED) -> np.ndarray:
 
 def rotation_matrix(name: str, value: Input, leading: bool = False) -> Array:
     """A proper rotation matrix, orthogonal to 1e-6; with `leading`, an array of them; or a scipy `Rotation`."""
-    value = value.as_matrix() if _is_rotation(value) else value
+    value = value.as_matrix() if isinstance(value, RotationLike) else value
     R = with_leading(name, value, (3, 3)) if leading else real_array(name, value, (3, 3))
     if concrete(R):
         M = np.asarray(R, float)

@@ -14,9 +14,8 @@ def publish(package: str) -> list[str]:
     `__init__.pyi` says the same to type checkers and editors.
     """
     room = sys.modules[package]
-    public = {
-        name: getattr(module, name) for module in modules_with("__all__", room).values() for name in module.__all__
-    }
+    modules = modules_with("__all__", room).values()
+    public = {name: vars(module)[name] for module in modules for name in module.__all__}
     vars(room).update(public)
     return sorted(public)
 
@@ -32,7 +31,7 @@ def modules_with(attribute: str, package: ModuleType) -> dict[str, ModuleType]:
     `examples` are in its systems or schemes, `__all__` in the modules that have public names. A file `_so3_midpoint.py`
     is called "so3_midpoint": the underscore keeps it from being hidden by its own function.
     """
-    return {name.lstrip("_"): module for name, module in _modules(package) if hasattr(module, attribute)}
+    return {name.lstrip("_"): module for name, module in _modules(package) if attribute in vars(module)}
 
 
 def _modules(package: ModuleType) -> list[tuple[str, ModuleType]]:

@@ -14,7 +14,7 @@ import jax
 import jax.numpy as jnp
 from jax import Array, lax
 from jax.ad_checkpoint import checkpoint_name
-from jax.extend.core import Primitive
+from jax.extend.core import ClosedJaxpr, Jaxpr, Primitive
 from jax.interpreters import ad, batching, mlir
 
 from lieint_jax._xla._compile import Tree
@@ -87,7 +87,7 @@ def saved(tree: _Tree) -> _Tree:
 
 def _is_saved(primitive: object, *_: object, **parameters: Any) -> bool:
     """True if the results of an operation are saved; a `custom_root` with a saved root is one operation here."""
-    composite = getattr(parameters.get("_prim"), "params", {})  # what `custom_root` is in JAX ≥ 0.12
+    composite = parameters["_prim"].params if "_prim" in parameters else {}  # what `custom_root` is in JAX ≥ 0.12
     inside = [getattr(x, "jaxpr", x) for x in (*parameters.values(), *composite.values())]
-    equations = [equation for x in inside for equation in getattr(x, "eqns", ())]
+    equations = [equation for x in inside if isinstance(x, Jaxpr | ClosedJaxpr) for equation in x.eqns]
     return _SAVED in (parameters.get("name"), *(equation.params.get("name") for equation in equations))

@@ -50,7 +50,8 @@ def unchecked() -> contextlib.AbstractContextManager[Any]:
 
 
 def _axes_of(x: Value) -> frozenset[str]:
-    return getattr(getattr(_type(x), "manual_axis_type", None), "varying", frozenset())
+    kind = _type(x)
+    return kind.manual_axis_type.varying if isinstance(kind, ShapedArray) else frozenset()
 
 
 def _type(x: Value) -> Any:

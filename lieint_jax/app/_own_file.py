@@ -19,6 +19,7 @@ def import_file(path: Path, name: str) -> ModuleType:
         spec.loader.exec_module(module)
     except Exception as error:
         lines = [x.lineno for x in traceback.extract_tb(error.__traceback__) if x.filename == str(path.absolute())]
-        line = getattr(error, "lineno", None) or (lines[-1] if lines else "?")  # a syntax error has a line of its own
-        raise ValueError(f"{path}, line {line}: {type(error).__name__}: {error}") from error
+        if isinstance(error, SyntaxError):
+            lines.append(error.lineno)
+        raise ValueError(f"{path}, line {lines[-1] if lines else '?'}: {type(error).__name__}: {error}") from error
     return module

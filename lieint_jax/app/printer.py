@@ -65,13 +65,14 @@ def show_time(phase: str) -> None:
 
 def readable(tree: Any, most: int = _PROSE) -> Any:
     """A tree of tables, lists and scenarios with texts that can be printed: escaped, each on one line and cut."""
-    if isinstance(tree, str):
-        return _checks.printable(tree, most)
-    if isinstance(tree, dict):
-        return {readable(key, most): readable(value, most) for key, value in tree.items()}
-    if isinstance(tree, list):
-        return [readable(value, most) for value in tree]
-    if hasattr(tree, "model_copy"):
-        fields = {**tree.__dict__, **(tree.model_extra or {})}
-        return tree.model_copy(update={name: readable(value, most) for name, value in fields.items()})
+    match tree:
+        case str():
+            return _checks.printable(tree, most)
+        case dict():
+            return {readable(key, most): readable(value, most) for key, value in tree.items()}
+        case list():
+            return [readable(value, most) for value in tree]
+        case object(model_copy=copied, model_extra=extra):  # of pydantic, which is not imported here
+            fields = {**vars(tree), **(extra or {})}
+            return copied(update={name: readable(value, most) for name, value in fields.items()})
     return tree

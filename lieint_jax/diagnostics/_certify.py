@@ -263,15 +263,11 @@ def _on_arrays(step: Step) -> Step:
 
     The derivative of a step on SO(4) written out in scalars has 28 000 operations.
     """
-    group = getattr(step.system, "group", None)
-    if not isinstance(group, MatrixGroup) or not group.unrolled or "system" not in _fields(step):
-        return step
-    system: Any = dataclasses.replace(cast("Any", step.system), group=matrix(group.basis, group.name, unrolled=False))
-    return dataclasses.replace(cast("Any", step), system=system)
-
-
-def _fields(step: object) -> set[str]:
-    return {field.name for field in dataclasses.fields(step)} if dataclasses.is_dataclass(step) else set()
+    match step.system:
+        case object(group=MatrixGroup(unrolled=True) as G) if dataclasses.is_dataclass(step) and "system" in vars(step):
+            group = matrix(G.basis, G.name, unrolled=False)
+            return dataclasses.replace(step, system=dataclasses.replace(cast("Any", step.system), group=group))
+    return step
 
 
 def _clock_error(states: State, dt: float) -> float:

@@ -6,7 +6,8 @@ import jax
 from jax import Array
 from jax.typing import ArrayLike
 
-from lieint_jax.types import Group, State, Step, clock, promoted, time_derivative
+from lieint_jax.phase_spaces import ConfigurationGroup, CotangentGroup, CotangentUnimodular
+from lieint_jax.types import State, Step, clock, promoted, time_derivative
 from lieint_jax.types.shapes import Scalar
 
 
@@ -36,9 +37,10 @@ def local_error(step: Step, state: State, dt: ArrayLike) -> Scalar:
     Raises:
         ValueError: a system that is not on a group, and the errors of `Step.check`.
     """
-    group: Group | None = getattr(step.system.phase_space, "group", None)
-    if group is None:
+    space = step.system.phase_space
+    if not isinstance(space, CotangentGroup | CotangentUnimodular | ConfigurationGroup):
         raise ValueError(f"local_error is of steps on groups, got {step.name} for a {type(step.system).__name__}")
+    group = space.group
     step, state, _ = promoted(step, state)
     step.check(state, dt)
     end, _ = step(state, dt)

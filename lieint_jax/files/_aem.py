@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import re
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -182,7 +182,8 @@ def write_aem(
     Raises:
         ValueError: no epoch or object, states without quaternions, quaternions that are not of norm 1.
     """
-    start, name = (getattr(run, key, None) if x is None else x for key, x in (("epoch", epoch), ("object", object)))
+    known: Any = run._asdict() if isinstance(run, Attitudes) else {"epoch": run.epoch} if isinstance(run, Run) else {}
+    start, name = (known.get(key) if x is None else x for key, x in (("epoch", epoch), ("object", object)))
     if start is None or name is None:
         raise ValueError("give epoch=, the date of t = 0, and object=, the name of the body")
     t, q = (np.asarray(x, float) for x in _times_and_attitudes(run, body))
@@ -194,8 +195,8 @@ def write_aem(
     meta = {
         "OBJECT_NAME": name,
         "OBJECT_ID": name,
-        "REF_FRAME_A": frame_a or getattr(run, "frame_a", "ICRF"),
-        "REF_FRAME_B": frame_b or getattr(run, "frame_b", "SC_BODY_1"),
+        "REF_FRAME_A": frame_a or known.get("frame_a", "ICRF"),
+        "REF_FRAME_B": frame_b or known.get("frame_b", "SC_BODY_1"),
         "ATTITUDE_DIR": "A2B",
         **_ccsds.span(start, t),
         "ATTITUDE_TYPE": "QUATERNION",

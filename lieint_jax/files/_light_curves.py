@@ -143,7 +143,8 @@ def _from_json(text: Text) -> Iterator[LightCurve]:
     try:
         found = json.loads("\n".join(text.lines))
     except (ValueError, RecursionError) as error:
-        text.fail(getattr(error, "lineno", 0), f"this is no JSON: {_checks.printable(str(error))}")
+        where = error.lineno if isinstance(error, json.JSONDecodeError) else 0
+        text.fail(where, f"this is no JSON: {_checks.printable(str(error))}")
     for k, entry in enumerate(found if isinstance(found, list) else [found], 1):
         curve = entry.get("LightCurve", entry) if isinstance(entry, dict) else {}
         points = curve.get("points") if isinstance(curve, dict) else None

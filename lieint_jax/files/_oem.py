@@ -86,10 +86,11 @@ def write_oem(
         ValueError: epoch, frame, center or object are known from nowhere, or the positions are.
     """
     given = {"epoch": epoch, "frame": frame, "center": center, "object": object}
-    known: dict[str, Any] = {
-        name: getattr(orbit, name, None) if value is None else value for name, value in given.items()
-    }
-    if missing := [f"{name}=" for name, value in known.items() if value is None]:
+    known: dict[str, Any] = {"epoch": orbit.epoch} if isinstance(orbit, Run | OrbitTable) else {}
+    if isinstance(orbit, OrbitTable):
+        known |= {"frame": orbit.frame, "center": orbit.center, "object": orbit.object}
+    known |= {name: value for name, value in given.items() if value is not None}
+    if missing := [f"{name}=" for name in given if known.get(name) is None]:
         raise ValueError(f"give {', '.join(missing)}, which this orbit does not have")
     t, r, v = (np.asarray(x, float) for x in _states(orbit, times, body, about))
     if not (t.ndim == 1 and len(t) > 1 and (np.diff(t) > 0).all() and np.isfinite(r).all() and np.isfinite(v).all()):
@@ -110,9 +111,9 @@ def _states(
     if isinstance(orbit, Run):
         if orbit.members is not None or times is not None:
             raise ValueError("give one member, run.member(k), and no times: the rows are the states of the run")
-        path = getattr(orbit.system, "orbit", None)
-        if path is not None:
-            return orbit.t, *jax.vmap(path)(jnp.asarray(orbit.t))
+        match orbit.system:
+            case object(orbit=path) if path is not None:
+                return orbit.t, *jax.vmap(path)(jnp.asarray(orbit.t))
         return orbit.t, *_of_body(orbit, body, about)
     if times is None:
         if not isinstance(orbit, orbits.Table):

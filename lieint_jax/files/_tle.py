@@ -283,7 +283,8 @@ def _of_json(text: Text, whole: str) -> list[dict[str, tuple[int, str]]]:
     try:
         found = json.loads(whole, parse_int=str, parse_float=str, parse_constant=str)
     except (json.JSONDecodeError, RecursionError) as error:
-        text.fail(getattr(error, "lineno", 0), f"the JSON cannot be read, or is cut short: {error}")
+        at = error.lineno if isinstance(error, json.JSONDecodeError) else 0
+        text.fail(at, f"the JSON cannot be read, or is cut short: {error}")
     found = found if isinstance(found, list) else [found]
     if not all(isinstance(message, dict) for message in found):
         text.fail(0, "the JSON must be a list of objects, each with the keys of an OMM")
@@ -296,7 +297,8 @@ def _of_xml(text: Text, whole: str) -> list[dict[str, tuple[int, str]]]:
     try:
         root = ElementTree.fromstring(whole)
     except (ElementTree.ParseError, RecursionError) as error:
-        text.fail(getattr(error, "position", (0,))[0], f"the XML cannot be read, or is cut short: {error}")
+        at = error.position[0] if isinstance(error, ElementTree.ParseError) else 0
+        text.fail(at, f"the XML cannot be read, or is cut short: {error}")
     for x in root.iter():
         x.tag = x.tag.rpartition("}")[2]  # without its namespace
     found = root.iter("omm")

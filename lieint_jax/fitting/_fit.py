@@ -10,7 +10,7 @@ import dataclasses
 import warnings
 from collections.abc import Callable, Hashable
 from functools import cached_property, lru_cache, partial
-from typing import TYPE_CHECKING, Any, NamedTuple, TypedDict, TypeVar, Unpack, overload
+from typing import TYPE_CHECKING, Any, NamedTuple, TypedDict, TypeVar, Unpack, cast, overload
 
 import jax
 import jax.numpy as jnp
@@ -439,16 +439,16 @@ def _method(
         check_real("the loss", value)
         return value, ok
 
-    if optimizer == "lbfgs":
-        return lbfgs(scalar, box, tolerance)
-    if optimizer == "adam":
-        import optax
+    match optimizer:
+        case "lbfgs":
+            return lbfgs(scalar, box, tolerance)
+        case "adam":
+            import optax
 
-        optimizer = optax.adam(1e-2)
-    if isinstance(optimizer, str) or not (hasattr(optimizer, "init") and hasattr(optimizer, "update")):
-        raise ValueError(
-            'optimizer must be "levenberg_marquardt", "gauss_newton", "scipy", "lbfgs", "adam" or an optax '
-            "transformation, got "
-            f"{optimizer!r}"
-        )
-    return descent(scalar, box, optimizer, tolerance)
+            return descent(scalar, box, optax.adam(1e-2), tolerance)
+        case object(init=_, update=_):
+            return descent(scalar, box, cast("GradientTransformation", optimizer), tolerance)
+    raise ValueError(
+        'optimizer must be "levenberg_marquardt", "gauss_newton", "scipy", "lbfgs", "adam" or an optax transformation, '
+        f"got {optimizer!r}"
+    )

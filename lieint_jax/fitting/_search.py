@@ -11,6 +11,7 @@ import numpy as np
 from jax import Array
 from jax.flatten_util import ravel_pytree
 
+from lieint_jax._checks import dtype_of
 from lieint_jax.types import StepInfo
 from lieint_jax.types.shapes import PyTree
 
@@ -80,7 +81,7 @@ def residuals_of(function: Callable[[PyTree], PyTree], params: PyTree) -> tuple[
 def check_real(name: str, tree: PyTree, *more: type) -> None:
     """ValueError if a leaf of a tree does not hold floating-point numbers, or such of `more` kinds of dtypes."""
     for path, leaf in jax.tree_util.tree_leaves_with_path(tree):
-        dtype = leaf.dtype if hasattr(leaf, "dtype") else np.asarray(leaf).dtype
+        dtype = np.asarray(leaf).dtype if (known := dtype_of(leaf)) is None else known
         if not any(jnp.issubdtype(dtype, kind) for kind in (jnp.floating, *more)):
             parts = ": fit real and imaginary parts" if jnp.issubdtype(dtype, jnp.complexfloating) else ""
             raise ValueError(f"{name}{jax.tree_util.keystr(path)} must hold real numbers, got dtype {dtype}{parts}")

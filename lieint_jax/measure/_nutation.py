@@ -18,6 +18,7 @@ from lieint_jax.measure._spectrum import even_spacing
 from lieint_jax.measure._states import rotate, series_of, times_of
 from lieint_jax.phase_spaces import frame
 from lieint_jax.runs import Run
+from lieint_jax.systems import LinearPotential
 from lieint_jax.types import State, Step, System, vectors
 from lieint_jax.types.shapes import Vector3
 
@@ -104,9 +105,9 @@ def _axis_of(system: System, axis: Array | None) -> Callable[[State], Array]:
             f"nutation is that of a top, as systems.heavy_top(…), or without an axis of a pendulum; got {system!r}"
         )
     if axis is None:
-        if not hasattr(system.potential, "weight"):  # pyright: ignore[reportAttributeAccessIssue]
+        if not isinstance(system.potential, LinearPotential):
             raise ValueError("the potential has no center of mass: give the axis of the top in the body, axis=(…)")
-        weight: Array = system.potential.weight  # pyright: ignore[reportAttributeAccessIssue, reportFunctionMemberAccess]
+        weight = system.potential.weight
         axis = weight / vectors.norm(weight)
     return partial(_rotated, system, axis)
 
@@ -116,10 +117,10 @@ def _rotated(system: AbstractTop, axis: Array, state: State) -> Array:
 
 
 def _field_axis(system: System) -> Vector3:
-    axis = getattr(system, "axis", None)
-    if axis is None:
-        raise ValueError("the potential is a function V(Λ) without an axis γ, about which there is no precession")
-    return axis / vectors.norm(axis)
+    match system:
+        case object(axis=axis) if axis is not None:
+            return axis / vectors.norm(axis)
+    raise ValueError("the potential is a function V(Λ) without an axis γ, about which there is no precession")
 
 
 def _measure(h: float, rows: np.ndarray) -> tuple[float, float, float, float]:

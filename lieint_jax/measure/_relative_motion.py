@@ -230,12 +230,16 @@ def pair_energies(run: Run) -> PairEnergies:
     Raises:
         ValueError: the run is not of two bodies, or its potential has no `G`.
     """
-    if count_bodies(run) != 2 or not hasattr(getattr(run.system, "potential", None), "G"):
-        raise ValueError(
-            "pair_energies needs a run of two bodies under gravity, such as potentials.maccullagh(G, …), got "
-            f"{count_bodies(run)} in {getattr(run.system, 'potential', None)!r}"
-        )
-    return series_of(run, _energies_at)
+    bodies, potential = count_bodies(run), None
+    match run.system:
+        case object(potential=object(G=_)) if bodies == 2:
+            return series_of(run, _energies_at)
+        case object(potential=potential):
+            pass
+    raise ValueError(
+        "pair_energies needs a run of two bodies under gravity, such as potentials.maccullagh(G, …), got "
+        f"{bodies} in {potential!r}"
+    )
 
 
 def _energies_at(step: Step, state: State) -> PairEnergies:

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import sys
 from collections import Counter
-from collections.abc import Mapping, MutableMapping, Sequence
+from collections.abc import Callable, Mapping, MutableMapping, Sequence
+from typing import ClassVar, Self
 
 import numpy as np
 from jax.typing import DTypeLike
@@ -161,9 +162,8 @@ class Operations(Text):
             elif sign == "other":
                 c = self.add(f"fneg {kind} {c}")
             return self.intrinsic("fma", kind, a, b, c)
-        method = getattr(self, f"op_{x.op}", None)
-        if method is not None:
-            return method(x, vector)
+        if x.op in self.own:
+            return self.own[x.op](self, x, vector)
         values = [self.value(y, vector) for y in x.inputs]
         kind = self.type(x.inputs[0].dtype, vector)
         name = instruction(x.op, x.inputs[0].dtype.kind)
@@ -221,8 +221,6 @@ class Operations(Text):
         sine, cosine = (self.add(f"extractvalue {pair} {both}, {k}") for k in (0, 1))
         self.names[other] = cosine if x.op == "sin" else sine
         return sine if x.op == "sin" else cosine
-
-    op_cos = op_sin
 
     def op_values(self, x: Value, vector: bool) -> str:
         parts = self.module.parts
@@ -355,6 +353,11 @@ class Operations(Text):
             return self.gather(self.add(f"getelementptr {scalar}, ptr {at}, <{self.lanes} x i64> <{each}>"), x.dtype)
         found = self.add(f"load {self.stored_type(x.dtype, True)}, ptr {at}, align {x.dtype.itemsize}")
         return self.from_stored(found, x.dtype, True)
+
+    own: ClassVar[dict[str, Callable[[Self, Value, bool], str]]] = {
+        "array": op_array, "convert": op_convert, "cos": op_sin, "empty": op_empty, "entry": op_entry, "put": op_put,
+        "row": op_row, "select": op_select, "sin": op_sin, "table": op_table, "values": op_values,
+    }  # fmt: skip
 
     def entry(self, array: Value, k: str, vector: bool) -> str:
         return self.load(self.names[array], array.dtype, k, vector)

@@ -15,6 +15,7 @@ from jax.core import ShapedArray
 from jax.extend.core import ClosedJaxpr, JaxprEqn
 from jax.typing import ArrayLike
 
+from lieint_jax._checks import dtype_of
 from lieint_jax.native._primitives.abstract_walk import (
     LARGEST,
     Rows,
@@ -190,7 +191,7 @@ def _places(shape: Sequence[int], axis: int) -> list[tuple[int, int, int]]:
 
 def _dtype(x: ArrayLike | jax.ShapeDtypeStruct) -> np.dtype:
     """The type of an array or a number in JAX; `jax.numpy.result_type` takes ten times as long for an array."""
-    dtype = getattr(x, "dtype", None)
+    dtype = dtype_of(x)
     if dtype is None:
         return jax.numpy.result_type(x)
     return dtype if jax.numpy.issubdtype(dtype, jax.dtypes.extended) else jax.dtypes.canonicalize_dtype(dtype)

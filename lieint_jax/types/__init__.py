@@ -17,9 +17,7 @@ __all__ = _publish(__name__)  # pyright: ignore[reportUnsupportedDunderAll]
 
 
 def __getattr__(name: str) -> Any:
-    if name.startswith("Abstract") and hasattr(
-        capabilities := importlib.import_module("lieint_jax.capabilities"), name
-    ):
+    if name.startswith("Abstract") and name in (moved := vars(importlib.import_module("lieint_jax.capabilities"))):
         warn_of_removal(f"li.types.{name} is now li.capabilities.{name}; the old name")
-        return getattr(capabilities, name)
+        return moved[name]
     raise AttributeError(f"module {__name__!r} has no attribute {name!r}")

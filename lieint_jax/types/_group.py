@@ -20,7 +20,7 @@ from lieint_jax.types.shapes import (
     Unrolled,
 )
 
-__all__ = ["AnalyticGroup", "Group", "PhaseSpace"]
+__all__ = ["AnalyticGroup", "Group", "PhaseSpace", "SpaceWithTangents", "SpaceWithUnits"]
 
 
 class Group(Protocol):
@@ -99,10 +99,8 @@ class PhaseSpace(Protocol):
     """A manifold with a symplectic form, and the coordinates of its tangent spaces in which the diagnostics work.
 
     `origin` is a state at rest, from which `perturb` leads to others. `displacement(a, b)` returns smooth coordinates
-    of b in which a is 0, and `displaced(a, ·)` is the inverse. A space whose coordinates have different units defines
-    `units(state)`, the units (dim/2,) of δq and those of δp; by default these are 1 and the largest component of p. A
-    space may define `tangent(state, δ)`, the tangent vector (δq, δp) in the coordinates of `State`: the derivative of
-    `perturb`, which is used otherwise.
+    of b in which a is 0, and `displaced(a, ·)` is the inverse. A space may also be a `SpaceWithUnits` and a
+    `SpaceWithTangents`.
     """
 
     @property
@@ -115,3 +113,17 @@ class PhaseSpace(Protocol):
     def trivialize(self, state: State, tangent: State, /) -> PhaseVector: ...
     def omega(self, state: State, /) -> PhaseMatrix: ...
     def defect(self, state: State, /) -> Scalar: ...
+
+
+@runtime_checkable
+class SpaceWithUnits(Protocol):
+    """A phase space with the units (dim/2,) of δq and of δp; in others these are 1 and the largest component of p."""
+
+    def units(self, state: State, /) -> tuple[PhaseVector, PhaseVector]: ...
+
+
+@runtime_checkable
+class SpaceWithTangents(Protocol):
+    """A phase space with tangent vectors (δq, δp) in the coordinates of `State`; in others `perturb` is derived."""
+
+    def tangent(self, state: State, delta: PhaseVector, /) -> tuple[Array, Array]: ...

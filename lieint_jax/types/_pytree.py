@@ -9,7 +9,7 @@ from typing import Any, TypeVar, dataclass_transform
 import jax
 import numpy as np
 
-from lieint_jax._checks import name_of
+from lieint_jax._checks import dtype_of, name_of
 
 __all__ = ["Partitioned", "argument", "callable_pytree", "pytree", "static"]
 
@@ -86,7 +86,7 @@ def _is_number(leaf: object) -> bool:
     """Whether a leaf can be one of a pytree that JAX traces: an array, its shape and type, a key, a Python number."""
     if isinstance(leaf, np.ndarray | np.generic):
         return leaf.dtype.kind not in "OSUMm"
-    described = hasattr(leaf, "dtype") and hasattr(leaf, "shape") and not callable(leaf)
+    described = dtype_of(leaf) is not None and hasattr(leaf, "shape") and not callable(leaf)
     return described or isinstance(leaf, bool | int | float | complex)
 
 

@@ -14,11 +14,11 @@ import numpy as np
 from jax import Array
 from jax.typing import ArrayLike
 
-from lieint_jax._checks import at_once, concrete, name_of, real_array, snake_case, step_size
+from lieint_jax._checks import at_once, concrete, dtype_of, name_of, real_array, snake_case, step_size
 from lieint_jax._deprecated import warn_of_removal
 from lieint_jax._xla import compiled, differ, materialized_arrays, with_materialized_derivatives
 from lieint_jax.native import scan
-from lieint_jax.types._group import PhaseSpace
+from lieint_jax.types._group import PhaseSpace, SpaceWithTangents
 from lieint_jax.types._state import State, StepInfo, all_finite
 from lieint_jax.types._system import System
 from lieint_jax.types.shapes import Flag, PhaseVector, PyTree, TangentVectors, Time
@@ -147,8 +147,9 @@ class Step:
         step, state, dt, T = _in_one_type(self, state, dt, T)
         _check_time(step, state)
         end, info, LT = step.advance_tangents(state, dt, T)
-        if not _overrides(step, "advance_tangents", "tangent"):  # the derivative of a call, which has done the rest
-            return end, info, LT
+        own = type(step)
+        if own.advance_tangents is Step.advance_tangents and own.tangent is Step.tangent:
+            return end, info, LT  # the derivative of a call, which has done the rest
         end = _on_time(step, state, dt, end)
         q, p, LT = materialized_arrays((end.q, end.p, LT))  # XLA computes them once, not in each use
         end = end._replace(q=q, p=p)
@@ -161,7 +162,8 @@ class Step:
     @property
     def prepares(self) -> bool:
         """Whether `prepare` computes anything; its result is valid for one step size."""
-        return _overrides(self, "with_constants", "prepare")
+        own = type(self)
+        return own.with_constants is not Step.with_constants or own.prepare is not Step.prepare
 
     @property
     def deterministic(self) -> Step | None:
@@ -230,8 +232,8 @@ def _completed(step: Step, state: State, dt: Array, end: State) -> State:
 
 def _on_time(step: Step, state: State, dt: Array, end: State) -> State:
     """The state after a step, at t + dt; raises ValueError if it lacks parts that the state before has."""
-    for name in ("work", "extra"):
-        if getattr(state, name) is not None and getattr(end, name) is None:
+    for name, before, after in (("work", state.work, end.work), ("extra", state.extra, end.extra)):
+        if before is not None and after is None:
             raise ValueError(f"{type(step).__name__} drops state.{name}: return state._replace(q=…, p=…) from it")
     return end._replace(t=end.t if step.own_time or state.t is None else state.t + dt)
 
@@ -239,11 +241,6 @@ def _on_time(step: Step, state: State, dt: Array, end: State) -> State:
 def _finite_or_flagged(info: StepInfo, end: State) -> StepInfo:
     """The report of a step, `converged` only if the state after it is finite."""
     return info._replace(converged=info.converged & all_finite(end))
-
-
-def _overrides(step: Step, *methods: str) -> bool:
-    """Whether the class of a step has one of these methods of its own."""
-    return any(getattr(type(step), name) is not getattr(Step, name) for name in methods)
 
 
 def _accept_override(cls: type[Step], method: str) -> None:
@@ -265,7 +262,7 @@ def _accept_override(cls: type[Step], method: str) -> None:
 
         return call
 
-    setattr(cls, method, override(getattr(Step, method)))
+    setattr(cls, method, override(vars(Step)[method]))
     if method == "__call__":
         cls.substep = override(Step.substep)  # pyright: ignore
 
@@ -275,7 +272,7 @@ def _undefined_at(system: System, state: State) -> tuple[str, str]:
     values = derivatives = ""
     for name, part in {**system.terms(), f"the vector field of {type(system).__name__}": system}.items():
         rate, slopes = _rate_and_slopes(part, state)
-        wrong = [of for of in ("q", "p") if not bool(all_finite(getattr(rate, of)))]
+        wrong = [of for of, x in (("q", rate.q), ("p", rate.p)) if not bool(all_finite(x))]
         if wrong:
             values = values or (
                 f"the equations of motion of {type(system).__name__} have no finite value at this state: by {name} the "
@@ -324,9 +321,8 @@ def push_forward(
 
 def _tangent_vector(space: PhaseSpace, state: State, delta: PhaseVector) -> tuple[Array, Array]:
     """(δq, δp), the inverse of `trivialize`; a space may have it as `tangent`, faster than the derivative here."""
-    own = getattr(space, "tangent", None)
-    if own is not None:
-        return own(state, delta)
+    if isinstance(space, SpaceWithTangents):
+        return space.tangent(state, delta)
     tangent = jax.jvp(lambda x: space.perturb(state, x), (jnp.zeros_like(delta),), (delta,))[1]
     return tangent.q, tangent.p
 
@@ -377,7 +373,7 @@ def start_time(step: Step, state: State) -> Time | None:
 
 
 def _is_real(leaf: ArrayLike) -> bool:
-    return jnp.issubdtype(leaf.dtype if hasattr(leaf, "dtype") else type(leaf), jnp.floating)  # pyright: ignore
+    return jnp.issubdtype(type(leaf) if (dtype := dtype_of(leaf)) is None else dtype, jnp.floating)
 
 
 @partial(compiled, once=True)

@@ -12,6 +12,7 @@ from jax import Array
 from lieint_jax._deprecated import renamed_attribute
 from lieint_jax.types._group import PhaseSpace
 from lieint_jax.types._state import State
+from lieint_jax.types._torque import Law
 from lieint_jax.types.shapes import MomentumMap, Scalar
 
 __all__ = ["System", "energy_less_work", "time_derivative"]
@@ -68,13 +69,19 @@ class System(abc.ABC):
         """Systems with one of a user's functions each, by what messages call it; empty if they are not told apart."""
         return {}
 
+    @property
+    def laws(self) -> tuple[Law, ...]:
+        """Its laws of torque, by default none."""
+        return ()
+
     carried = renamed_attribute("carried", "initial_extra")
 
 
 def time_derivative(system: System, state: State) -> State:
     """The time derivative of all fields of a state: 1 for t, and 0 for what the system does not move."""
     moving, rest = system.vector_field(state), jax.tree.map(jnp.zeros_like, state)
-    moved = {name: x for name, x in moving._asdict().items() if x is not None and getattr(state, name) is not None}
+    pairs = zip(State._fields, moving, state, strict=True)
+    moved = {name: x for name, x, own in pairs if x is not None and own is not None}
     return rest._replace(**moved | ({} if state.t is None else {"t": jnp.ones_like(state.t)}))
 
 

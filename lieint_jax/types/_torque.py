@@ -212,7 +212,7 @@ def total(laws: Any) -> Total:
 
 def laws_of(system: Any) -> tuple[Law, ...]:
     """The laws of torque of a system, none if it is not one of a torqued body."""
-    return getattr(system, "laws", ())
+    return system.laws
 
 
 def labels(system: Any) -> list[str]:
@@ -233,7 +233,7 @@ def as_law(law: Any, frame: str = "body") -> Law:
     """A law, or a function of (t, q, velocity), as a `Law`."""
     if isinstance(law, Law):
         return law
-    if not (callable(law) or hasattr(law, "during")):
+    if not callable(law):
         raise ValueError(
             "torque must be a function of (t, q, omega) with a value of shape (3,), a law, or a sum of laws, such as "
             f"a + b or torques.total([a, b]), got {law!r}"

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import difflib
 import importlib
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from typing import Any
 
 import jax
@@ -12,7 +12,7 @@ import jax.numpy as jnp
 import numpy as np
 from jax import Array
 
-from lieint_jax._checks import concrete
+from lieint_jax._checks import concrete, dtype_of
 from lieint_jax.types._torque import labels as laws_of
 from lieint_jax.types.members import Axis, Run, axes, map_over_run
 from lieint_jax.types.shapes import PyTree
@@ -42,7 +42,7 @@ def short_text(value: PyTree) -> str:
     """A number or a short array to six digits; the type and the shape of a longer array or a tracer."""
     if isinstance(value, dict):
         return "{" + ", ".join(f"{name}: {short_text(inner)}" for name, inner in value.items()) + "}"
-    if not hasattr(value, "shape"):
+    if dtype_of(value) is None:
         return repr(value)
     if not concrete(value) or value.size > _SHORT:
         return f"{value.dtype}[{', '.join(map(str, value.shape))}]"
@@ -57,7 +57,7 @@ def fields(value: PyTree) -> str:
 
 def trajectory(run: Run) -> str:
     """A trajectory in one line."""
-    if not hasattr(run.t, "shape") or not concrete(run) or run.t.ndim != 1:
+    if dtype_of(run.t) is None or not concrete(run) or run.t.ndim != 1:
         return fields(run)
     members = "" if run.info.converged.ndim == 1 else f" of {run.info.converged.shape[1]} members"
     missed = int((~np.asarray(run.info.converged)).sum())
@@ -129,7 +129,7 @@ def state_axes(
 ) -> tuple[tuple[str, ...], dict[str, np.ndarray | list[str]]]:
     """Names of the axes of one state's array, and their labels; the system provides some of them."""
     if name == "extra_works" and len(shape) == 1:
-        names = laws_of(system)
+        names = [] if system is None else laws_of(system)
         return ("law",), {"law": names} if len(names) == shape[0] else {}
     if name in ("q", "p", "angular_velocity") and shape in _COMPONENTS and _has_axes(system):
         dim, own = _COMPONENTS[shape]
@@ -144,26 +144,27 @@ def state_axes(
 
 def _has_axes(system: PyTree) -> bool:
     """Whether components may belong to axes of space: on matrix groups other than rotations they are of the basis."""
-    structure = getattr(getattr(system, "group", None), "structure", None)
-    if structure is None:
-        return True
-    return structure.shape == _CROSS.shape and np.allclose(structure, structure[0, 1, 2] * _CROSS)
+    match system:
+        case object(group=object(structure=structure)):
+            return structure.shape == _CROSS.shape and np.allclose(structure, structure[0, 1, 2] * _CROSS)
+    return True
 
 
 def _invariants(run: Run, system: PyTree, system_axis: Axis) -> dict[str, Array]:
     """Energy, momentum map, and the angular velocity in the body, where the system has them."""
     if not hasattr(system, "energy"):
         raise ValueError(f"system must be that of the run, such as step.system, got a {type(system).__name__}")
-    methods = {"energy": "energy"} if system.hamiltonian else {}
-    methods["momentum_map"] = "momentum"
+    kind = type(system)
+    functions = {"energy": kind.energy} if system.hamiltonian else {}
+    functions["momentum_map"] = kind.momentum
     if hasattr(system, "angular_velocity"):
-        methods["angular_velocity"] = "angular_velocity"
+        functions["angular_velocity"] = kind.angular_velocity
 
-    def values(state: PyTree, method: str) -> Array:
-        return map_over_run(lambda own, z: getattr(own, method)(z), system, run._replace(state=state), system_axis)
+    def values(state: PyTree, function: Callable[[PyTree, PyTree], Array]) -> Array:
+        return map_over_run(function, system, run._replace(state=state), system_axis)
 
     states, along = jax.tree.map(jnp.asarray, run.state), jax.jit(values, static_argnums=1)
-    measured = {name: along(states, method) for name, method in methods.items()}
+    measured = {name: along(states, function) for name, function in functions.items()}
     return {name: x for name, x in measured.items() if x.size}
 
 

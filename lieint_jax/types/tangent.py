@@ -12,7 +12,7 @@ import numpy as np
 from jax import Array
 
 from lieint_jax._xla import compiled
-from lieint_jax.types._group import PhaseSpace
+from lieint_jax.types._group import PhaseSpace, SpaceWithUnits
 from lieint_jax.types._state import State
 from lieint_jax.types._step import push_forward
 from lieint_jax.types._system import System, time_derivative
@@ -50,7 +50,7 @@ def distance(a: State, b: State, space: PhaseSpace | None = None, *, scale: Stat
     `scale`, by default b.
     """
     scale = b if scale is None else scale
-    if space is not None and getattr(space, "units", None):
+    if isinstance(space, SpaceWithUnits):
         return jnp.max(jnp.abs(space.displacement(b, a) / jnp.concatenate(units(space, scale))))
     return jnp.maximum(jnp.max(jnp.abs(a.q - b.q)), jnp.max(jnp.abs(a.p - b.p), initial=0) / size(scale.p))
 
@@ -63,9 +63,8 @@ def size(p: Array) -> Scalar:
 
 def units(space: PhaseSpace, state: State) -> tuple[PhaseVector, PhaseVector]:
     """The units of δq and of δp, (d,) each, in which tangent vectors are dimensionless: 1 and `size`, or its own."""
-    own = getattr(space, "units", None)
-    if own is not None:
-        return own(state)
+    if isinstance(space, SpaceWithUnits):
+        return space.units(state)
     momenta = space.dim // 2 if state.p.size else 0
     return jnp.ones(space.dim - momenta, state.p.dtype), jnp.ones(momenta, state.p.dtype) * size(state.p)
 
@@ -92,7 +91,7 @@ def swinging(system: System, state: State) -> State:
     by_q, by_p = jax.vmap(change)(directions)  # one batch compiles in half of the time
     stiffness, mobility = jnp.max(of_q * jnp.abs(by_q[n:])), jnp.abs(by_p[:n])
     natural = jnp.sqrt(stiffness / jnp.where(mobility > 0, mobility, jnp.inf))
-    several = getattr(space, "units", None) is not None
+    several = isinstance(space, SpaceWithUnits)
     p, axes = (state.p.reshape(-1, 2, 3), (0, 2)) if several else (state.p, None)
     natural = natural.reshape(p.shape) if natural.size == p.size else jnp.max(natural)
     size, least = (jnp.max(jnp.abs(x), axis=axes, keepdims=several) for x in (p, natural))

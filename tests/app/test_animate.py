@@ -259,6 +259,10 @@ def test_a_system_without_rigid_bodies_is_refused_with_the_possible_systems():
     run = stored(bob, np.tile([0.0, 0.0, 1.0], (3, 1)), np.zeros((3, 3)), np.arange(3.0))
     with pytest.raises(ValueError, match=r"^Pendulum has no rigid bodies. Rigid bodies, gyrostats, tops"):
         scene.scene_of(run, "a body", 5)
+    deployed = li.systems.inertia_in_time(lambda t: jnp.array([1.0, 2.0, 2.5]) + t)
+    run = stored(deployed, np.tile([1.0, 0.0, 0.0, 0.0], (3, 1)), np.ones((3, 3)), np.arange(3.0))
+    with pytest.raises(ValueError, match=r"^InertiaInTime has no rigid bodies"):
+        scene.scene_of(run, "a body", 5)
 
 
 def test_a_top_stands_on_its_tip_and_precesses_about_the_vertical():

@@ -245,6 +245,14 @@ def test_the_motion_of_a_body_is_drawn_by_the_axis_that_it_spins_about(spin, nam
 
 
 @pytest.mark.long
+def test_the_motion_of_a_body_whose_inertia_changes_is_drawn_by_its_axis_z():
+    body = li.systems.inertia_in_time(lambda t: jax.numpy.array([1.0, 2.0, 2.5]) + t)
+    run = alone(li.schemes.extrapolate(body, 4), body.state(angular_velocity=[0.1, 0.2, 1.0], t=0.0))
+    fig = pictures.draw_motion(run, "a body")
+    assert fig.axes[0].get_title().startswith("body axis z of the first member")
+
+
+@pytest.mark.long
 def test_the_motion_of_a_rod_is_drawn_by_its_shapes():
     """The first of them, in the plane of the longest extent, is that of the start."""
     rod, start, _ = li.systems._rod.examples()["free"]

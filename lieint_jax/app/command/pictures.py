@@ -14,6 +14,7 @@ from lieint_jax.app import plots
 from lieint_jax.app.scenarios import _pictures
 from lieint_jax.app.scenarios._body import axis_in_space, spin_axis
 from lieint_jax.app.scenarios._runs import POINTS, energy, kinetic_energy, momentum, positive, series
+from lieint_jax.capabilities import AbstractBodyInTime, AbstractManyBodies, AbstractRotatingBody
 from lieint_jax.groups import so3
 from lieint_jax.runs import Run, interpolate
 from lieint_jax.systems import LinearPotential
@@ -24,7 +25,7 @@ MAX_ROTATION = 2.6  # rad between saved states: interpolation then has an error 
 
 def rotation_angles(system: Any, run: Trajectory) -> tuple[np.ndarray, np.ndarray]:
     """Estimated angles of rotation between saved states, of the fastest body and of a top's axis, (saves − 1,), rad."""
-    rates = system.angular_velocities if hasattr(system, "angular_velocities") else system.angular_velocity
+    rates = system.angular_velocities if isinstance(system, AbstractManyBodies) else system.angular_velocity
     Omega = np.asarray(jax.jit(jax.vmap(rates))(jax.tree.map(jnp.asarray, run.state)))
     Omega, axis = Omega.reshape(len(Omega), -1, 3), top_axis(system)
     across = Omega if axis is None else np.cross(Omega, axis)
@@ -43,9 +44,10 @@ def interpolate_at(system: Any, run: Trajectory, times: np.ndarray) -> Trajector
 
 def top_axis(system: Any) -> np.ndarray | None:
     """The axis (3,) of a heavy top in the body, from the fixed point to the center of mass; None for other systems."""
-    potential = getattr(system, "potential", None)
-    weight = np.asarray(potential.weight) if isinstance(potential, LinearPotential) else np.zeros(3)
-    return weight / np.linalg.norm(weight) if weight.any() else None
+    match system:
+        case object(potential=LinearPotential(weight=weight)) if np.any(weight):
+            return np.asarray(weight) / np.linalg.norm(weight)
+    return None
 
 
 _CHORD = np.deg2rad(3)  # largest rotation from one point of a drawn path to the next, where `POINTS` allows it
@@ -94,17 +96,18 @@ def draw_motion(run: Run, title: str) -> Figure:
     """Plot the motion of the first member: a direction on a sphere, shapes of a chain, centers, or components of q."""
     run = run if run.members is None else run.member(0)
     q = np.asarray(run.state.q)
-    if q.shape[1:] == (4,):
-        fig = _draw_body(run)
-    elif q.shape[1:] == (3,):
-        fig = _draw_direction(q, "q")
-    elif q.shape[2:] == (7,) and q.shape[1] > 1 and getattr(getattr(run.system, "potential", None), "chain", False):
-        fig, axes = plots.figure(rows=2, size=(8.0, 2.2), sharex=True)
-        _pictures.draw_chain(axes[:, 0], np.asarray(run.t), q[..., :3], "centers of the first member")
-    elif q.shape[2:] == (7,):
-        fig = _draw_centers(q[..., :3])
-    else:
-        fig = _draw_components(run, q)
+    match q.shape[1:], run.system:
+        case (4,), _:
+            fig = _draw_body(run)
+        case (3,), _:
+            fig = _draw_direction(q, "q")
+        case (bodies, 7), object(potential=object(chain=True)) if bodies > 1:
+            fig, axes = plots.figure(rows=2, size=(8.0, 2.2), sharex=True)
+            _pictures.draw_chain(axes[:, 0], np.asarray(run.t), q[..., :3], "centers of the first member")
+        case (_, 7), _:
+            fig = _draw_centers(q[..., :3])
+        case _:
+            fig = _draw_components(run, q)
     fig.suptitle(title)
     return fig
 
@@ -112,7 +115,7 @@ def draw_motion(run: Run, title: str) -> Figure:
 def _draw_body(whole: Run) -> Figure:
     """Draw the axis about which a body spins, as a curve if saved states can be interpolated."""
     system, run = whole.system, whole.trajectory
-    joined = hasattr(system, "angular_velocity")
+    joined = isinstance(system, AbstractRotatingBody | AbstractBodyInTime)
     if joined:
         angles, _ = rotation_angles(system, run)
         joined = bool(angles.max() <= MAX_ROTATION)
@@ -129,7 +132,7 @@ def _drawn_axis(system: Any, run: Trajectory) -> tuple[np.ndarray, str]:
     axis = top_axis(system)
     if axis is not None:
         return axis, "the top's axis"
-    if not hasattr(system, "inertia"):
+    if not isinstance(system, AbstractRotatingBody):
         return np.eye(3)[2], "body axis z"
     momentum = so3.Ad_star(jnp.asarray(run.state.q[0]), jnp.asarray(run.state.p[0]))
     axis = spin_axis(np.asarray(system.inertia), np.asarray(momentum))

@@ -61,24 +61,25 @@ def _encode(value: Any, at: str, arrays: dict[str, np.ndarray]) -> Any:
     def encode_child(name: Any, inner: Any) -> Any:
         return _encode(inner, f"{at}.{name}" if at else str(name), arrays)
 
-    if value is None or isinstance(value, bool | int | float | str):
-        return value
-    if isinstance(value, np.generic):
-        return value.item()
-    if isinstance(value, np.ndarray | jax.Array):
-        if at in (*arrays, "metadata"):
-            raise ValueError(f"two parts of the tree are called {at}")
-        arrays[at] = np.asarray(value)
-        return {"array": at}
-    if isinstance(value, Kind):
-        return {"scenario": value.model_dump()}
-    if isinstance(value, dict):
-        return {"dict": [[key, encode_child(key, inner)] for key, inner in value.items()]}
-    if hasattr(value, "_fields"):
-        kind = f"{type(value).__module__}:{type(value).__qualname__}"
-        return {"type": kind, "fields": {name: encode_child(name, x) for name, x in value._asdict().items()}}
-    if isinstance(value, tuple | list):
-        return {type(value).__name__: [encode_child(k, inner) for k, inner in enumerate(value)]}
+    match value:
+        case None | bool() | int() | float() | str():
+            return value
+        case np.generic():
+            return value.item()
+        case np.ndarray() | jax.Array():
+            if at in (*arrays, "metadata"):
+                raise ValueError(f"two parts of the tree are called {at}")
+            arrays[at] = np.asarray(value)
+            return {"array": at}
+        case Kind():
+            return {"scenario": value.model_dump()}
+        case dict():
+            return {"dict": [[key, encode_child(key, inner)] for key, inner in value.items()]}
+        case object(_fields=_, _asdict=named):
+            kind = f"{type(value).__module__}:{type(value).__qualname__}"
+            return {"type": kind, "fields": {name: encode_child(name, x) for name, x in named().items()}}
+        case tuple() | list():
+            return {type(value).__name__: [encode_child(k, inner) for k, inner in enumerate(value)]}
     raise TypeError(f"{at} is of type {type(value).__name__}, which cannot be written")
 
 
@@ -105,9 +106,10 @@ def _find_class(name: str, own: ModuleType | None = None) -> Any:
     for old, new in _RENAMED.items():
         name = name.replace(old, new)
     module, _, kind = name.partition(":")
-    found = getattr(importlib.import_module(module), kind) if module.split(".")[0] == _PACKAGE else None
+    home = importlib.import_module(module) if module.split(".")[0] == _PACKAGE else None
     if own is not None and module == own.__name__:
-        found = getattr(own, kind)
-    if not (isinstance(found, type) and issubclass(found, tuple) and hasattr(found, "_fields")):
-        raise ValueError(f"{name} is no named tuple of {_PACKAGE}; results of your own study need --study FILE.py")
-    return found
+        home = own
+    match home and getattr(home, kind):
+        case object(_fields=_) as found if isinstance(found, type) and issubclass(found, tuple):
+            return found
+    raise ValueError(f"{name} is no named tuple of {_PACKAGE}; results of your own study need --study FILE.py")

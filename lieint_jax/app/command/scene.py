@@ -14,7 +14,7 @@ from lieint_jax.app.command import meshes
 from lieint_jax.app.command.meshes import BodyShape, Solid
 from lieint_jax.app.command.pictures import MAX_ROTATION, interpolate_at, rotation_angles, top_axis, unit_of
 from lieint_jax.app.scenarios._body import spin_axis
-from lieint_jax.capabilities import AbstractDissipativeBodies, AbstractFreeBodies, AbstractRigidBodies
+from lieint_jax.capabilities import AbstractManyBodies, AbstractRotatingBody
 from lieint_jax.groups import so3
 from lieint_jax.runs import Run
 from lieint_jax.systems import DissipativeRod, ElasticRod
@@ -28,7 +28,6 @@ _TILTED = 10.0  # degrees between the principal axes of a body and of its shape,
 _MIN_SIZE = 0.06  # smallest size of the largest body, over that of the scene: smaller bodies are drawn larger
 _TIP, _ARROW = 1.2, 1.5  # lengths of axes and momentum vectors, over the size of their body
 _ELEMENT = (0.5, 0.25, 0.9)  # sides of the box that shows an element of a rod, over its length
-_SYSTEMS_OF_BODIES = (AbstractFreeBodies, AbstractRigidBodies, AbstractDissipativeBodies)
 
 Span = tuple[float | None, float | None]
 
@@ -82,8 +81,8 @@ def scene_of(whole: Run, title: str, frames: int, span: Span = (None, None), sha
         ValueError: a system without rigid bodies, or times outside the run.
     """
     system: Any = whole.system
-    is_multibody = isinstance(system, _SYSTEMS_OF_BODIES)
-    if not (is_multibody or (whole.state.q.shape[1:] == (4,) and hasattr(system, "inertia"))):
+    is_multibody = isinstance(system, AbstractManyBodies)
+    if not (is_multibody or (whole.state.q.shape[1:] == (4,) and isinstance(system, AbstractRotatingBody))):
         raise ValueError(
             f"{type(system).__name__} has no rigid bodies. Rigid bodies, gyrostats, tops, satellites and "
             "systems of bodies can be animated; `lieint plot` draws this run"
@@ -186,7 +185,7 @@ def _bodies(
     system: Any, rotations: np.ndarray, spins: np.ndarray, x: np.ndarray, shapes: Sequence[BodyShape]
 ) -> tuple[tuple[Solid, ...], np.ndarray, float]:
     """The surfaces of the bodies, the axis of each in the body (bodies, 3), and how many times they are enlarged."""
-    axis, single = top_axis(system), not hasattr(system, "inertias")
+    axis, single = top_axis(system), not isinstance(system, AbstractManyBodies)
     inertias = np.asarray(system.inertia)[None] if single else np.asarray(system.inertias)
     if len(shapes) > len(inertias):
         raise ValueError(

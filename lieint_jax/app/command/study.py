@@ -36,7 +36,7 @@ class Study(NamedTuple):
 
 def studies_by_name() -> dict[str, ModuleType]:
     """The studies by name."""
-    return {name: module for name, module in _discover.public_modules(studies).items() if hasattr(module, "run")}
+    return {name: module for name, module in _discover.public_modules(studies).items() if "run" in vars(module)}
 
 
 def run(name: str, out: Path, quick: bool) -> None:
@@ -73,9 +73,10 @@ def _own_study(path: Path) -> Study:
     if not path.is_file():
         raise ValueError(f"there is no file {path}")
     module = import_file(path, _OWN)
-    if isinstance(problem := getattr(module, "PROBLEM", None), Problem):
+    declared = vars(module)
+    if isinstance(problem := declared.get("PROBLEM"), Problem):
         return Study(partial(infer, problem), text, draw)
-    if missing := [name for name in ("run", "text", "draw") if not callable(getattr(module, name, None))]:
+    if missing := [name for name in ("run", "text", "draw") if not callable(declared.get(name))]:
         raise ValueError(
             f"{path} declares no study: it needs PROBLEM = lieint_jax.fitting.inference.Problem(…), or the "
             f"functions run, text and draw, of which it lacks {', '.join(missing)}"

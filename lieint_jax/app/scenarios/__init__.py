@@ -236,7 +236,7 @@ def _unknown_scenario(name: str) -> str:
 
 def _model_of(model: Any, key: str) -> Any:
     """The model of the table, or of the tables of a list, at a key of a model; None if there is none or are several."""
-    annotation = model.model_fields[key].annotation if key in getattr(model, "model_fields", {}) else None
+    annotation = model.model_fields[key].annotation if model is not None and key in model.model_fields else None
     inner = [x for x in (annotation, *get_args(annotation)) if isinstance(x, type) and issubclass(x, BaseModel)]
     return inner[0] if len(inner) == 1 else None
 

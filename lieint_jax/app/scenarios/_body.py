@@ -19,6 +19,8 @@ from lieint_jax.app.scenarios._spread import INERTIA
 from lieint_jax.groups import so3
 from lieint_jax.types import State, Step
 
+KAPPAS = {kappa.name: kappa for kappa in maps.KAPPAS}
+
 
 class InitialState(keys.GivenRate):
     """The nominal state: an attitude, given by one of two keys, and an angular velocity in the body."""
@@ -78,7 +80,7 @@ class TopKind(BodyKind):
 
     def step_by(self, scheme: str, top: Any) -> Step:
         """The step of a scheme for tops, at the order of the scenario."""
-        kappa = getattr(maps, f"kappa_{self.kappa or 'cayley'}")
+        kappa = KAPPAS[self.kappa or "cayley"]
         return step_of(top, scheme, self.order, *[kappa] * (scheme == "top_energy_momentum"))
 
 

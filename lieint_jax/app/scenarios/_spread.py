@@ -13,7 +13,7 @@ import zlib
 from collections.abc import Callable, Iterator, Mapping
 from fnmatch import fnmatchcase
 from functools import partial
-from typing import Any, NamedTuple, TypeVar, get_args
+from typing import Annotated, Any, NamedTuple, TypeVar, get_args, get_origin
 
 import annotated_types
 import jax
@@ -147,7 +147,7 @@ def numbers(table: BaseModel, path: Path = ()) -> dict[Path, Number]:
 
 
 def _labeled_rows(rows: list[Any]) -> list[tuple[str, Any]]:
-    return [(getattr(row, "name", str(k)), row) for k, row in enumerate(rows, 1)]
+    return [(dict(row).get("name", str(k)), row) for k, row in enumerate(rows, 1)]
 
 
 def _as_number(value: object, field: FieldInfo) -> Number | None:
@@ -171,7 +171,7 @@ def _annotations(annotation: Any) -> Iterator[Any]:
     if isinstance(annotation, FieldInfo):
         yield from annotation.metadata
         yield from _annotations(annotation.annotation)
-    elif hasattr(annotation, "__metadata__"):
+    elif get_origin(annotation) is Annotated:
         for mark in annotation.__metadata__:
             yield from _annotations(mark) if isinstance(mark, FieldInfo) else (mark,)
         yield from _annotations(annotation.__origin__)
@@ -194,8 +194,8 @@ def requested_spreads(scenario: Any, fixed: Mapping[str, str]) -> dict[Path, Giv
     `fixed` are patterns of paths of numbers that have no spread, with the reasons. ValueError: no such number, or no
     standard deviation.
     """
-    table: Any = getattr(scenario, _SPREAD, None)
-    entries = dict(_entries(getattr(table, "model_extra", None) or {}))
+    table: Any = dict(scenario).get(_SPREAD)
+    entries = dict(_entries(table.model_extra or {})) if isinstance(table, BaseModel) else {}
     if not entries:
         return {}
     known, declared = numbers(scenario), type(table).model_fields

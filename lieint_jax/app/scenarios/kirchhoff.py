@@ -55,7 +55,7 @@ class Kirchhoff(Kind):
         return systems.kirchhoff((a, b, c), self.center_of_mass)
 
     def options(self) -> tuple[Any, ...]:
-        return (getattr(maps, self.map),)
+        return (maps.cayley if self.map == "cayley" else maps.exponential,)
 
     def deviates(self, indices: np.ndarray) -> Any:
         """Those of both velocities, (m, 6)."""

@@ -23,6 +23,7 @@ from lieint_jax.systems import PseudoRigidBody
 from lieint_jax.types import State
 from lieint_jax.types.shapes import PyTree
 
+_LAWS = {law.__name__: law for law in (systems.mooney_rivlin, systems.neo_hookean, systems.saint_venant_kirchhoff)}
 _LONGEST = 4_000  # largest number of drawn steps, which are all saved, since a delay plot needs each
 
 Matrix = Annotated[list[keys.Triple], Field(min_length=3, max_length=3)]
@@ -95,7 +96,7 @@ class PseudoRigid(Kind):
             raise ValueError(f"steps = {self.steps} must be more than 2·lag = {2 * self.lag}")
 
     def make_system(self) -> PseudoRigidBody:
-        material = getattr(systems, self.material.law)(self.material.lam, self.material.mu)
+        material = _LAWS[self.material.law](self.material.lam, self.material.mu)
         return systems.pseudo_rigid_body(jnp.asarray(self.inertia), material)
 
     def options(self) -> tuple[Any, ...]:

@@ -9,7 +9,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from lieint_jax import adjoints, diagnostics, maps, measure, systems
+from lieint_jax import adjoints, diagnostics, measure, systems
 from lieint_jax.app import plots
 from lieint_jax.app.scenarios import _body
 from lieint_jax.app.scenarios._files import ObservationFile
@@ -75,7 +75,7 @@ class FreeBody(_body.BodyKind):
         return systems.rigid_body(self.inertia)
 
     def options(self) -> tuple[Any, ...]:
-        return (getattr(maps, f"kappa_{self.kappa or 'symplectic'}"),) if self.scheme == "so3_midpoint" else ()
+        return (_body.KAPPAS[self.kappa or "symplectic"],) if self.scheme == "so3_midpoint" else ()
 
     def conserved(self, run: Run) -> list[Any]:
         """Nothing: its certificate has more digits."""

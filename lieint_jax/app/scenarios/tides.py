@@ -158,7 +158,7 @@ class Tides(Kind):
             "period_d": "period (d)",
         }
         for key, name in names.items():
-            if (known := getattr(self.published, key, None)) is not None:
+            if (known := self._published().get(key)) is not None:
                 error = f" ± {known.error:g}" if known.error else ""
                 remark = f"; {known.remark}" if known.remark else ""
                 text = f"{known.value:>16.9g}{error} ({self.source(known.source)}{remark})"

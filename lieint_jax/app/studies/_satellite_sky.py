@@ -24,8 +24,6 @@ from lieint_jax.shapes import GlossyFacets
 from lieint_jax.systems import RigidBody, rigid_body
 from lieint_jax.types import State
 
-_KEYS = ("area_m2", "diffuse", "specular", "exponent")
-
 
 class Facet(Table):
     """A row of a table of facets."""
@@ -49,7 +47,8 @@ def facets(rows: list[dict[str, Any]]) -> GlossyFacets:
     found = [scenarios.validate(Facet, row, f"facet {row.get('name', k)!r}") for k, row in enumerate(rows)]
     normal = np.array([facet.normal for facet in found])
     normal = normal / np.linalg.norm(normal, axis=1, keepdims=True)
-    return GlossyFacets(jnp.asarray(normal), *(jnp.array([getattr(facet, key) for facet in found]) for key in _KEYS))
+    columns = zip(*((x.area_m2, x.diffuse, x.specular, x.exponent) for x in found), strict=True)
+    return GlossyFacets(jnp.asarray(normal), *map(jnp.array, columns))
 
 
 def magnitude(body: GlossyFacets, q: Array, sun: Array, observer: Array) -> Array:

@@ -176,7 +176,7 @@ def text(found: LearnedKappas) -> str:
     ]
     compared = {"training_defect": "the training states", "test_defect": "unseen, faster states"}
     for column, data in (compared | {"poisson_error": "long runs"}).items():
-        learned, given = (np.nanmin([getattr(found.rows[k], column) for k in names]) for names in (FORMS, _GIVEN))
+        learned, given = (np.nanmin([found.rows[k]._asdict()[column] for k in names]) for names in (FORMS, _GIVEN))
         lines.append(f"  {data + ':':<24}the best learned κ has {learned / given:.2f} of the best given κ's error")
     return "\n".join(
         [*lines, f"  ({found.steps} steps.) No κ removes the defect (Result 8); of a given κ it is O(Δt³) as Δt → 0"]

@@ -176,7 +176,7 @@ def size_of(equation: JaxprEqn) -> int:
     inner = jaxprs_of(equation.params)
     if inner:
         repeats = equation.params.get("length", 1) if equation.primitive.name == "scan" else 1
-        return sum(repeats * _size(getattr(x, "jaxpr", x)) for x in inner)
+        return sum(repeats * _size(x) for x in inner)
     return 0 if equation.primitive.name in MOVES else sum(int(np.prod(x.shape)) for x in shapes_of(equation.outvars))
 
 

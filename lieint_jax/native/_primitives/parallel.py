@@ -15,7 +15,8 @@ from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
 import numpy as np
-from jax.extend.core import JaxprEqn, Literal
+from jax.core import ShapedArray
+from jax.extend.core import ClosedJaxpr, JaxprEqn, Literal
 
 from lieint_jax.native._primitives.abstract_walk import Table, long_axis, shapes_of
 from lieint_jax.native._primitives.control_flow import CALLS, jaxprs_of, size_of, split_scan, split_while
@@ -169,12 +170,12 @@ def _called(equation: JaxprEqn, axes: Axes) -> tuple[Axes, Axes]:
 
 def _results(jaxpr: Any, axes: Axes, strict: bool = True) -> Axes:
     """The axes of the results of a jaxpr, in which, if it is `strict`, nothing is computed of all rows at once."""
-    inner = getattr(jaxpr, "jaxpr", jaxpr)
+    inner = jaxpr.jaxpr if isinstance(jaxpr, ClosedJaxpr) else jaxpr
     known = dict(zip(inner.invars, axes, strict=True))
     lengths = {x.aval.shape[d] for x, d in zip(inner.invars, axes, strict=True) if d is not None}
 
     def axis(atom: Any) -> int | None:
-        return None if hasattr(atom, "val") else known.get(atom)
+        return None if isinstance(atom, Literal) else known.get(atom)
 
     for equation in inner.eqns:
         given = [axis(x) for x in equation.invars]
@@ -371,7 +372,7 @@ def _first_axes(equation: JaxprEqn, values: Mapping[Any, Any], length: int = 0) 
     """The long axis of each operand, all of one length, which may be given; and this length, 0 if there is none."""
     axes = []
     for x in equation.invars:
-        shape = getattr(x.aval, "shape", ())
+        shape = x.aval.shape if isinstance(x.aval, ShapedArray) else ()
         given = not isinstance(x, Literal) and not isinstance(values.get(x), Table)
         d = long_axis(shape, length) if given else None
         length = length if d is None else shape[d]
