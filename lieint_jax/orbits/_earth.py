@@ -153,7 +153,7 @@ def atmosphere(
 
 def above_ground(orbit: Any, radius: Array) -> None:
     """ValueError if an orbit is not a function, is below the ground at its start or periapsis, or has another unit."""
-    _checks.function("orbit", lambda t: orbit(t)[0], "the time t, with (position, velocity)", (3,), jnp.zeros(()))
+    _checks.orbit(orbit)
     if not concrete(orbit, radius):
         return
     lowest = _lowest(orbit)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from typing import Any
 
 import jax
@@ -14,11 +13,6 @@ from lieint_jax import _checks
 from lieint_jax.groups import so3
 from lieint_jax.types import argument, callable_pytree, pytree
 from lieint_jax.types.vectors import cross, dot, norm
-
-
-def _orbit(orbit: Callable[..., tuple[Array, Array]]) -> Callable[..., tuple[Array, Array]]:
-    _checks.function("orbit", lambda t: orbit(t)[0], "the time t, with (position, velocity)", (3,), jnp.zeros(()))
-    return callable_pytree(orbit)
 
 
 @pytree
@@ -35,7 +29,7 @@ class LocalFrame:
         ValueError: `orbit` is not such a function.
     """
 
-    orbit: Any = argument(converter=_orbit)
+    orbit: Any = argument(converter=lambda orbit: callable_pytree(_checks.orbit(orbit)))
 
     def __call__(self, t: ArrayLike) -> Array:
         """The attitude of the frame at time t: the unit quaternion (4,) from its axes to those of space, q₀ ≥ 0."""
