@@ -61,7 +61,8 @@ def make(description: object, arrays: Mapping[str, object], own: Mapping[str, ob
     if not isinstance(description, Mapping):
         return description
     [(kind, value)] = list(description.items())[:1]
-    inner = {name: make(part, arrays, own, system) for name, part in description.get("fields", {}).items()}
+    parts = _present_fields(description.get("fields", {}))
+    inner = {name: make(part, arrays, own, system) for name, part in parts.items()}
     makers: dict[str, Callable[[], object]] = {
         "array": lambda: np.asarray(arrays[value]),
         "constant": lambda: np.array(value, description["dtype"]),
@@ -77,6 +78,14 @@ def make(description: object, arrays: Mapping[str, object], own: Mapping[str, ob
         "class": lambda: _instance(_find_object(value, own), inner),
     }
     return makers[kind]()
+
+
+def _present_fields(fields: Mapping[str, Any]) -> Mapping[str, Any]:
+    """The fields of a class, also by the names that they have since version 0.4."""
+    if "plates" not in fields:  # of `torques.SolarPlates` and `Aerodynamic`
+        return fields
+    plates = fields["plates"]["fields"]
+    return {**fields, **plates, "force": plates["sizes"], "areas": plates["sizes"]}
 
 
 def _describe(x: object, path: str, arrays: dict[str, np.ndarray] | None, system: object) -> object:
