@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import datetime
 from typing import Any
 
@@ -11,9 +12,9 @@ from jax import Array
 from jax.typing import ArrayLike
 
 from lieint_jax import _checks
-from lieint_jax._checks import concrete, positive
+from lieint_jax._checks import concrete, named, not_negative, positive
 from lieint_jax.dates import Epoch, epoch
-from lieint_jax.types import callable_pytree, pytree
+from lieint_jax.types import argument, callable_pytree, pytree
 from lieint_jax.types.vectors import cross, norm
 
 EARTH_GM = 398600.4418  # the Earth's gravitational parameter in km³/s², IERS Conventions 2010
@@ -79,39 +80,6 @@ def earth_rotation_angle(date: ArrayLike | Epoch | str) -> Array:
 
 @pytree
 class Air:
-    """The air along an orbit: `air(t)` is its density and the velocity relative to it. Made by `atmosphere`.
-
-    Attributes:
-        orbit: t ↦ (position, velocity).
-        density: the density at the distance `distance` from the center.
-        distance: that distance.
-        scale_height: the height over which the density falls to 1/e.
-        rate: the angular velocity of the air about the axis z.
-    """
-
-    orbit: Any
-    density: Array
-    distance: Array
-    scale_height: Array
-    rate: Array
-
-    def __call__(self, t: ArrayLike) -> tuple[Array, Array]:
-        """The density, (), and v − ω × r in space, (3,)."""
-        r, v = self.orbit(t)
-        wind = jnp.stack(cross(jnp.stack([0 * self.rate, 0 * self.rate, self.rate]), r))
-        height = norm(r) - self.distance
-        return self.density * jnp.exp(-height / self.scale_height), v - wind
-
-
-def atmosphere(
-    orbit: Any,
-    density: ArrayLike,
-    scale_height: ArrayLike,
-    height: ArrayLike,
-    *,
-    radius: ArrayLike = EARTH_RADIUS,
-    rate: ArrayLike = EARTH_RATE,
-) -> Air:
     """The air along an orbit: ρ(r) = ρ₀ exp(−(r − R − h₀)/H), which rotates with the Earth.
 
     | h₀, km | 300 | 350 | 400 | 450 | 500 | 600 |
@@ -139,16 +107,30 @@ def atmosphere(
 
     Source: Vallado 2013, Fundamentals of Astrodynamics, table 8-4.
     """
-    R = positive("radius", radius)
-    above_ground(orbit, R)
-    h0 = _checks.not_negative("height", height)
-    return Air(
-        callable_pytree(orbit),
-        positive("density", density),
-        R + h0,
-        positive("scale_height", scale_height),
-        _checks.real_array("rate", rate, ()),
-    )
+
+    orbit: Any = argument(converter=callable_pytree)
+    density: Array = argument(converter=named(positive, "density"))
+    scale_height: Array = argument(converter=named(positive, "scale_height"))
+    height: Array = argument(converter=named(not_negative, "height"))
+    _: dataclasses.KW_ONLY
+    radius: Array = argument(converter=named(positive, "radius"), default=EARTH_RADIUS)
+    rate: Array = argument(converter=named(_checks.real_array, "rate", ()), default=EARTH_RATE)
+
+    def check_fields(self) -> None:
+        """Raise ValueError if the orbit is below the ground or in another unit."""
+        above_ground(self.orbit, self.radius)
+
+    @property
+    def distance(self) -> Array:
+        """R + h₀."""
+        return self.radius + self.height
+
+    def __call__(self, t: ArrayLike) -> tuple[Array, Array]:
+        """The density, (), and v − ω × r in space, (3,)."""
+        r, v = self.orbit(t)
+        wind = jnp.stack(cross(jnp.stack([0 * self.rate, 0 * self.rate, self.rate]), r))
+        height = norm(r) - self.distance
+        return self.density * jnp.exp(-height / self.scale_height), v - wind
 
 
 def above_ground(orbit: Any, radius: Array) -> None:
@@ -180,3 +162,6 @@ def _lowest(orbit: Any) -> float | None:
     with _checks.at_once():
         found = orbit(jnp.asarray(first))[0]
     return None if not concrete(found) else float(np.linalg.norm(np.asarray(found)))
+
+
+atmosphere = Air

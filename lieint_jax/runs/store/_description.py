@@ -80,12 +80,18 @@ def make(description: object, arrays: Mapping[str, object], own: Mapping[str, ob
     return makers[kind]()
 
 
-def _present_fields(fields: Mapping[str, Any]) -> Mapping[str, Any]:
+def _present_fields(stored: Mapping[str, Any]) -> Mapping[str, Any]:
     """The fields of a class, also by the names that they have since version 0.4."""
-    if "plates" not in fields:  # of `torques.SolarPlates` and `Aerodynamic`
-        return fields
-    plates = fields["plates"]["fields"]
-    return {**fields, **plates, "force": plates["sizes"], "areas": plates["sizes"]}
+    match stored:
+        case {"plates": {"fields": plates}, **rest}:  # of `torques.SolarPlates` and `Aerodynamic`
+            return {**rest, **plates, "force": plates["sizes"], "areas": plates["sizes"]}
+        case {"cylinder": bool(cylinder)}:  # of `orbits.Eclipse`
+            return {**stored, "shadow": "cylindrical" if cylinder else "conical"}
+        case {"scale_height": _, "distance": distance}:  # of `orbits.Air`
+            return {**stored, "height": distance, "radius": 0.0}
+        case {"velocity": _, "start": start}:  # of `orbits.KeplerFromState`
+            return {**stored, "t": start}
+    return stored
 
 
 def _describe(x: object, path: str, arrays: dict[str, np.ndarray] | None, system: object) -> object:
