@@ -67,7 +67,7 @@ def _sun(sun: Any) -> Any:
     return callable_pytree(sun)
 
 
-def _shadow(shadow: str) -> str:
+def _shadow(shadow: Any) -> Literal["conical", "cylindrical"]:
     if shadow not in ("conical", "cylindrical"):
         raise ValueError(f'shadow must be "conical" or "cylindrical", got {shadow!r}')
     return shadow

@@ -13,7 +13,7 @@ from jax import Array
 from lieint_jax import _checks
 from lieint_jax._checks import concrete, named
 from lieint_jax.groups import so3
-from lieint_jax.potentials._potential import Potential, count, domain, force, invariant_form
+from lieint_jax.potentials._potential import Potential
 from lieint_jax.types import argument, callable_pytree, pytree, set_fields
 from lieint_jax.types.shapes import PoseMomenta, Positions, Rotations, Scalar
 
@@ -69,7 +69,7 @@ class Held(Potential):
 
     @property
     def count(self) -> int | None:
-        every = count(self.potential)
+        every = self.potential.count
         return None if every is None else every - sum(end is not None for end in (self.first, self.last))
 
     @property
@@ -82,7 +82,7 @@ class Held(Potential):
 
     @property
     def domain(self) -> str:  # pyright: ignore[reportIncompatibleVariableOverride]
-        return domain(self.potential)
+        return self.potential.domain
 
     @property
     def symmetry(self) -> Array:
@@ -111,7 +111,7 @@ class Held(Potential):
         Raises:
             ValueError: poses are functions of time, and `given` is missing.
         """
-        return invariant_form(self.potential).invariants(*self._all_bodies(x, R, *given))
+        return self.potential.invariants(*self._all_bodies(x, R, *given))
 
     def force(self, x: Positions, R: Rotations) -> PoseMomenta:
         """The forces and torques on the moving bodies, (N, 6).
@@ -120,7 +120,7 @@ class Held(Potential):
             ValueError: poses are functions of time.
         """
         first = int(self.first is not None)
-        return force(self.potential, *self._all_bodies(x, R))[first : first + len(x)]
+        return self.potential.force(*self._all_bodies(x, R))[first : first + len(x)]
 
     def _all_bodies(self, x: Positions, R: Rotations, *given: Array) -> tuple[Array, Array]:
         """Positions (M, 3) and rotations (M, 3, 3) of all bodies, with the constant poses or those at `given`."""
@@ -131,11 +131,11 @@ class Held(Potential):
 
     def value(self, invariants: Any) -> Scalar:
         """V of the invariants."""
-        return invariant_form(self.potential).value(invariants)
+        return self.potential.value(invariants)
 
     def discrete_gradient(self, start: Any, end: Any) -> Any:
         """The discrete gradient of the potential of all bodies."""
-        return invariant_form(self.potential).discrete_gradient(start, end)
+        return self.potential.discrete_gradient(start, end)
 
     def __add__(self, other: Any) -> Any:
         self._check_constant()

@@ -97,8 +97,9 @@ class Plates(Law):
 
 
 def _light(light: Callable[..., Array] | None) -> Callable[..., Array] | None:
-    if light is not None:
-        _checks.function("light", light, "the time t", (), jnp.zeros(()))
+    if light is None:
+        return None
+    _checks.function("light", light, "the time t", (), jnp.zeros(()))
     return callable_pytree(light)
 
 
