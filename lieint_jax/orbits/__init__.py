@@ -18,14 +18,13 @@ An orbit is any function t ↦ (position, velocity) that JAX can trace. Any cons
 constants are in km and seconds: `EARTH_GM`, `EARTH_RADIUS`, `EARTH_J2`, `EARTH_RATE`.
 """
 
+from lieint_jax.orbits._air import Air, atmosphere
 from lieint_jax.orbits._earth import (
     EARTH_GM,
     EARTH_J2,
     EARTH_RADIUS,
     EARTH_RATE,
     J2000,
-    Air,
-    atmosphere,
     earth_rotation_angle,
     julian_date,
 )

@@ -11,6 +11,8 @@ from jax.typing import ArrayLike
 
 from lieint_jax import _checks
 from lieint_jax.groups import so3
+from lieint_jax.orbits._from_state import KeplerFromState
+from lieint_jax.orbits._kepler import Kepler
 from lieint_jax.types import argument, callable_pytree, pytree
 from lieint_jax.types.vectors import cross, dot, norm
 
@@ -49,7 +51,7 @@ class LocalFrame:
         It is −|h|/r² about y, and −r(v̇·ĥ)/|h| about z, because the plane of a perturbed orbit rotates.
         """
         t = jnp.asarray(t)
-        if hasattr(self.orbit, "acceleration"):
+        if isinstance(self.orbit, Kepler | KeplerFromState):
             r, v = self.orbit(t)
             acceleration = self.orbit.acceleration(r)
         else:

@@ -15,14 +15,8 @@ from jax.typing import ArrayLike
 from lieint_jax import _checks
 from lieint_jax._checks import positive
 from lieint_jax.dates import Epoch
-from lieint_jax.orbits._earth import (
-    EARTH_RATE,
-    J2000,
-    above_ground,
-    days_since_j2000,
-    earth_rotation_angle,
-    julian_date,
-)
+from lieint_jax.orbits._air import above_ground
+from lieint_jax.orbits._earth import EARTH_RATE, J2000, days_since_j2000, earth_rotation_angle, julian_date
 from lieint_jax.types import callable_pytree, pytree
 from lieint_jax.types.vectors import dot
 

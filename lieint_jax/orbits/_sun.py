@@ -12,8 +12,9 @@ from jax.typing import ArrayLike
 from lieint_jax import _checks
 from lieint_jax._checks import named, positive
 from lieint_jax.dates import Epoch
+from lieint_jax.orbits._air import above_ground
 from lieint_jax.orbits._anomaly import less_sine
-from lieint_jax.orbits._earth import EARTH_RADIUS, above_ground, days_since_j2000
+from lieint_jax.orbits._earth import EARTH_RADIUS, days_since_j2000
 from lieint_jax.types import argument, callable_pytree, pytree, static
 from lieint_jax.types.vectors import cross, dot, norm
 
