@@ -53,8 +53,8 @@ class Springs(Potential):
         """Raise ValueError if shapes disagree; there is a number for each spring."""
         k = len(self.bodies)
         real_array("points", self.points, (k, 2, 3))
-        each = {x: for_each(not_negative, x, getattr(self, x), k) for x in ("stiffness", "lengths")}
-        set_fields(self, **each)
+        stiffness = for_each(not_negative, "stiffness", self.stiffness, k)
+        set_fields(self, stiffness=stiffness, lengths=for_each(not_negative, "lengths", self.lengths, k))
 
     def invariants(self, x: Positions, R: Rotations) -> Array:
         """The squared length of each spring, (k,)."""

@@ -203,9 +203,9 @@ def unloading(
     Source: Camillo & Markley 1980, J. Guid. Control 3.
     """
     g = wheel_axes(axes)
-    momenta = _checks.real_array("bias", bias, (), (len(g),))
+    momenta = _checks.for_each(_checks.real_array, "bias", bias, len(g))
     k, b = not_negative("gain", gain), vector_of_time("field", field)
-    return Unloading(g, k, b, _limit(max_dipole), jnp.broadcast_to(momenta, (len(g),)), key)
+    return Unloading(g, k, b, _limit(max_dipole), momenta, key)
 
 
 def _magnetic_torque(torque: Array, B: Array, max_dipole: Array | None) -> Array:
