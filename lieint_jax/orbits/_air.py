@@ -20,6 +20,8 @@ from lieint_jax.orbits._table import Table
 from lieint_jax.types import argument, callable_pytree, pytree
 from lieint_jax.types.vectors import cross, norm
 
+__all__ = ["Air", "atmosphere"]
+
 _FAR = 100.0  # radii of the Earth: an orbit further away was given in another unit
 
 

@@ -12,6 +12,8 @@ from jax.typing import ArrayLike
 
 from lieint_jax.dates import Epoch, epoch
 
+__all__ = ["EARTH_GM", "EARTH_J2", "EARTH_RADIUS", "EARTH_RATE", "J2000", "earth_rotation_angle", "julian_date"]
+
 EARTH_GM = 398600.4418  # the Earth's gravitational parameter in km³/s², IERS Conventions 2010
 EARTH_RADIUS = 6378.137  # the equatorial radius in km, WGS 84
 EARTH_J2 = 1.0826359e-3  # IERS Conventions 2010

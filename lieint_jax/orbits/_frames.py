@@ -16,6 +16,8 @@ from lieint_jax.orbits._kepler import Kepler
 from lieint_jax.types import argument, callable_pytree, pytree
 from lieint_jax.types.vectors import cross, dot, norm
 
+__all__ = ["LocalFrame", "lvlh"]
+
 
 @pytree
 class LocalFrame:

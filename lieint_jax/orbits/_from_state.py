@@ -14,6 +14,8 @@ from lieint_jax.orbits._kepler import Kepler
 from lieint_jax.types import argument, pytree, set_fields
 from lieint_jax.types.vectors import cross, dot, norm
 
+__all__ = ["KeplerFromState", "from_state"]
+
 _LINE = 1e-12  # |r × v| over |r||v| below which an orbit is a line
 _REST = 0.25  # |1 − e| above which e has all its digits
 

@@ -23,6 +23,8 @@ from lieint_jax.orbits._anomaly import Function, elliptic_anomaly, hyperbolic_an
 from lieint_jax.types import pytree, static
 from lieint_jax.types.vectors import dot
 
+__all__ = ["Kepler", "encounter_speed", "hyperbola", "kepler"]
+
 
 @pytree
 class Kepler:

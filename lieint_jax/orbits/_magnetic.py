@@ -20,6 +20,8 @@ from lieint_jax.orbits._earth import EARTH_RATE, J2000, days_since_j2000, earth_
 from lieint_jax.types import callable_pytree, pytree
 from lieint_jax.types.vectors import dot
 
+__all__ = ["EarthField", "HarmonicField", "earth_field"]
+
 _RADIUS = 6371.2  # km, of the coefficients of IGRF
 _YEARS = np.arange(2000.0, 2031.0, 5.0)
 _DEGREE = 13

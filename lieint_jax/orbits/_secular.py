@@ -14,6 +14,8 @@ from lieint_jax.orbits._kepler import Kepler, kepler
 from lieint_jax.types import pytree
 from lieint_jax.types.vectors import cross
 
+__all__ = ["SecularJ2", "secular_j2"]
+
 
 @pytree
 class SecularJ2:

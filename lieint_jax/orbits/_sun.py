@@ -18,6 +18,8 @@ from lieint_jax.orbits._earth import EARTH_RADIUS, days_since_j2000
 from lieint_jax.types import argument, callable_pytree, pytree, static
 from lieint_jax.types.vectors import cross, dot, norm
 
+__all__ = ["Eclipse", "SunDirection", "eclipse", "sun_direction"]
+
 SUN_ANGLE = 0.0046524  # the half-angle of the Sun at 1 au: asin(696000 km / 149597870.7 km)
 
 
