@@ -62,7 +62,9 @@ class Wheels(Law):
 
     axes: Array = argument(converter=wheel_axes)
     inertias: Array = argument(converter=named(real_array, "inertias"))
-    motor: Callable[..., Array] | None = argument(converter=callable_pytree, default=None)
+    motor: Callable[..., Array] | None = argument(
+        converter=lambda motor: None if motor is None else callable_pytree(motor), default=None
+    )
     max_torque: Array | None = argument(converter=named(real_array, "max_torque", optional=True), default=None)
     _: dataclasses.KW_ONLY
     max_momentum: Array | None = argument(converter=named(real_array, "max_momentum", optional=True), default=None)
