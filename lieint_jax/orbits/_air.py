@@ -34,7 +34,8 @@ class Air:
     | ρ₀, kg/m³ | 2.418e-11 | 9.518e-12 | 3.725e-12 | 1.585e-12 | 6.967e-13 | 1.454e-13 |
     | H, km | 53.628 | 53.298 | 58.515 | 60.828 | 63.822 | 71.835 |
 
-    At a given height the density varies by a factor of ten with the activity of the Sun.
+    At a given height the density varies by a factor of ten with the activity of the Sun. `air(t)` is the density and
+    the velocity of the satellite relative to the air in space, (3,).
 
     Args:
         orbit: t ↦ (position, velocity) from the center in inertial axes, z to the pole. The torque of
@@ -44,9 +45,6 @@ class Air:
         height: h₀ ≥ 0.
         radius: R in the orbit's unit of length; by default that of the Earth in km.
         rate: the rotation of the air, in radians per unit of time.
-
-    Returns:
-        t ↦ (density, velocity of the satellite relative to the air, (3,), in space).
 
     Raises:
         ValueError: numbers are out of range, or the orbit is below the ground or in another unit of length than the

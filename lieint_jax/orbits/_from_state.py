@@ -22,7 +22,7 @@ _REST = 0.25  # |1 − e| above which e has all its digits
 
 @pytree
 class KeplerFromState:
-    """The Kepler orbit through a position and a velocity, elliptic or hyperbolic.
+    """The Kepler orbit through a position and a velocity, elliptic or hyperbolic: `orbit(t)` is both at the time t.
 
     Values and derivatives are regular for circles and for orbits in the xy-plane. `orbit.elements` has the elements of
     `kepler`. Positions on an ellipse are right to a few ulp of a, plus the effect of rounding the mean anomaly; on a
@@ -38,9 +38,6 @@ class KeplerFromState:
         mu: the gravitational parameter GM, > 0, in length³ / time².
         position, velocity: position and velocity at the time t, relative to the center of attraction, (3,) each.
         t: that time.
-
-    Returns:
-        A function t ↦ (position, velocity).
 
     Raises:
         ValueError: μ ≤ 0; the position is the center; the velocity is parallel to the position, so that the orbit is a
