@@ -195,6 +195,11 @@ def named(
     return lambda value: None if optional and value is None else check(name, value, *shapes)
 
 
+def for_each(check: Callable[..., Array], name: str, value: Input, count: int) -> Array:
+    """Numbers of `count` things, (count,), from as many or from one, by a check such as `positive`."""
+    return jnp.broadcast_to(check(name, value, (), (count,)), (count,))
+
+
 def step_size(dt: Input) -> Input:
     """`dt`, checked to be a real scalar; a Python integer as a float."""
     if isinstance(dt, int) and not isinstance(dt, bool):
@@ -247,6 +252,12 @@ def function(name: str, given: Callable[..., object], of: str, shape: tuple[int,
     if dtype is None or value.shape != shape or not jnp.issubdtype(dtype, jnp.floating):
         got = repr(value) if dtype is None else f"shape {value.shape} and dtype {dtype}"
         raise ValueError(f"{name} must be a function of {of} with {wanted} as its value, got {got}")
+
+
+def orbit(given: Callable[..., Any]) -> Callable[..., Any]:
+    """`given`, if it is a function t ↦ (position, velocity)."""
+    function("orbit", lambda t: given(t)[0], "the time t, with (position, velocity)", (3,), jnp.zeros(()))
+    return given
 
 
 def closed_form(owner: object, name: str, found: Callable[[], Array], by_autodiff: Callable[[], Array]) -> None:

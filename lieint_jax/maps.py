@@ -15,6 +15,7 @@ import dataclasses
 import math
 from collections.abc import Callable
 from functools import cache
+from types import ModuleType
 from typing import Any, Literal
 
 import jax
@@ -386,7 +387,7 @@ def _check_map(tau: Tau, group: Group) -> bool:
             f"τ(0) and Dτ(0) must be the identity for the scheme to be consistent; {tau.name} is off by {off:.2g} "
             f"and {slope:.2g}"
         )
-    symmetric, name = True, getattr(group, "__name__", str(group)).rpartition(".")[2]  # so3 is a module
+    symmetric, name = True, (group.__name__ if isinstance(group, ModuleType) else str(group)).rpartition(".")[2]
     for theta in jnp.asarray(rng.uniform(-0.3, 0.3, (3, group.dim))):
         defect, turned = abs(float(group.defect(tau(group, theta)))), float(axis_residual(tau, group, theta))
         if not defect < 1e4 * eps:

@@ -20,10 +20,9 @@ import numpy as np
 from jax import Array
 from numpy.typing import ArrayLike
 
-from lieint_jax import _checks
-from lieint_jax._checks import concrete
+from lieint_jax._checks import concrete, for_each, named, positive, real_array
 from lieint_jax.potentials import Potential
-from lieint_jax.types import PairLaw, pytree
+from lieint_jax.types import PairLaw, argument, pytree, set_fields
 
 __all__ = [
     "LaggingTides",
@@ -106,24 +105,65 @@ class TidalPotential(Potential):
         return self.coefficients * (a * b) * (a * a + a * b + b * b) / 2
 
 
+def _masses(masses: ArrayLike) -> Array:
+    m = real_array("masses", masses)
+    if m.ndim != 1 or m.size < 2:
+        raise ValueError(f"masses must have shape (N,), N ≥ 2, got {m.shape}")
+    return positive("masses", m, m.shape)
+
+
+def _not_negative(name: str, value: ArrayLike, *shapes: tuple[int, ...]) -> Array:
+    x = real_array(name, value, *shapes)
+    if concrete(x) and not bool(np.all(np.asarray(x) >= 0)):
+        raise ValueError(f"{name} must be ≥ 0, got {np.asarray(x)}; 0 means a body without a tide")
+    return x
+
+
 @pytree
 class LaggingTides(PairLaw):
-    """Tides that lag by the times Δt/√(1 + (σT)²). Made by `constant_lag`, with T = 0, and `constant_q`.
+    """Tides of constant time lag, to first order in the lag: each body raises a tide on every other.
 
-    Attributes:
-        G: the constant of gravity.
-        masses, radii: (N,).
-        k2: Love's numbers, (N,).
-        lags: Δt, times by which slow tides lag, (N,).
-        times: T, (N,); at rates σ = |u|/r above 1/T the lag falls as 1/σ.
+    With A_k = (3k₂G m² R⁵ Δt_k/r⁸)(1 + 2r̂r̂ᵀ), m the mass of the other body and u_k = v − ω_k × r, the force on the
+    second body is −ΣA_k u_k and the torque on body k is r × A_k u_k: Mignard's equations without their conservative
+    part, which is `.potential`. They conserve linear and angular momentum, and dissipate the power Σu_k·A_k u_k ≥ 0.
+
+    Args:
+        G: the constant of gravity, in units consistent with the other arguments.
+        masses, radii: (N,), > 0.
+        k2: Love's numbers of degree 2, ≥ 0, (N,), or one for all; 0 for a body without a tide.
+        lags: ≥ 0, in units of time, (N,), or one for all. A quality factor Q at the tidal frequency σ is a lag 1/(Qσ).
+        times: T ≥ 0, (N,), or one for all: at rates σ = |v − ω_k × r|/r above 1/T the lag is Δt/√(1 + (σT)²), as in
+            `constant_q`; by default 0, a constant lag.
+
+    Raises:
+        ValueError: masses or radii are not positive, another number is negative, or shapes disagree.
+
+    Other conventions: Δt is Hut's τ, also in REBOUNDx's `tides_constant_time_lag`. Eggleton's dissipation constant is
+    σ = 2GΔt/(3k₂R⁵). REBOUNDx's `tides_spin` sets σ = 4Gτ/(3k₂R⁵), so that its `tau` is Δt/2.
+
+    Example:
+        >>> import lieint_jax as li
+        >>> tide = li.tides.constant_lag(1.0, [1.0, 0.1], [0.3, 0.1], 0.3, [0.01, 0.0])
+        >>> tide.potential.count
+        2
+
+    Source: Mignard 1979, Moon and Planets 20, (5) and (6); the form with A_k: this package. Other conventions: Hut
+    1981, Astron. Astrophys. 99; Eggleton, Kiseleva & Hut 1998, Astrophys. J. 499, (45).
     """
 
-    G: Array
-    masses: Array
-    radii: Array
-    k2: Array
-    lags: Array
-    times: Array
+    G: Array = argument(converter=named(positive, "G"))
+    masses: Array = argument(converter=_masses)
+    radii: Array = argument(converter=named(real_array, "radii"))
+    k2: Array = argument(converter=named(real_array, "k2"))
+    lags: Array = argument(converter=named(real_array, "lags"))
+    times: Array = argument(converter=named(real_array, "times", optional=True), default=None, kw_only=True)
+
+    def check_fields(self) -> None:
+        """Raise ValueError if shapes disagree or a number is out of range; there is a number for each body."""
+        positive("radii", self.radii, self.masses.shape)
+        k2, lags = (for_each(_not_negative, *x, self.count) for x in (("k2", self.k2), ("lags", self.lags)))
+        times = jnp.zeros_like(lags) if self.times is None else for_each(_not_negative, "times", self.times, self.count)
+        set_fields(self, k2=k2, lags=lags, times=times)
 
     def __call__(self, r: Array, v: Array, omega_i: Array, omega_j: Array) -> tuple[Array, Array, Array]:
         """The tides of the first two bodies."""
@@ -155,40 +195,6 @@ class LaggingTides(PairLaw):
 
 def _pairs(n: int) -> list[tuple[int, int]]:
     return [(i, j) for j in range(n) for i in range(j)]
-
-
-def constant_lag(G: ArrayLike, masses: ArrayLike, radii: ArrayLike, k2: ArrayLike, lags: ArrayLike) -> LaggingTides:
-    """Tides of constant time lag, to first order in the lag: each body raises a tide on every other.
-
-    With A_k = (3k₂G m² R⁵ Δt_k/r⁸)(1 + 2r̂r̂ᵀ), m the mass of the other body and u_k = v − ω_k × r, the force on the
-    second body is −ΣA_k u_k and the torque on body k is r × A_k u_k: Mignard's equations without their conservative
-    part, which is `.potential`. They conserve linear and angular momentum, and dissipate the power Σu_k·A_k u_k ≥ 0.
-
-    Args:
-        G: the constant of gravity, in units consistent with the other arguments.
-        masses, radii: (N,), > 0.
-        k2: Love's numbers of degree 2, ≥ 0, (N,), or one for all; 0 for a body without a tide.
-        lags: ≥ 0, in units of time, (N,), or one for all. A quality factor Q at the tidal frequency σ is a lag 1/(Qσ).
-
-    Raises:
-        ValueError: masses or radii are not positive, another number is negative, or shapes disagree.
-
-    Other conventions: Δt is Hut's τ, also in REBOUNDx's `tides_constant_time_lag`. Eggleton's dissipation constant is
-    σ = 2GΔt/(3k₂R⁵). REBOUNDx's `tides_spin` sets σ = 4Gτ/(3k₂R⁵), so that its `tau` is Δt/2.
-
-    Example:
-        >>> import lieint_jax as li
-        >>> tide = li.tides.constant_lag(1.0, [1.0, 0.1], [0.3, 0.1], 0.3, [0.01, 0.0])
-        >>> tide.potential.count
-        2
-
-    Source: Mignard 1979, Moon and Planets 20, (5) and (6); the form with A_k: this package. Other conventions: Hut
-    1981, Astron. Astrophys. 99; Eggleton, Kiseleva & Hut 1998, Astrophys. J. 499, (45).
-    """
-    bodies = _bodies(G, masses, radii, k2)
-    late = _one_each("lags", lags, bodies[1])
-    _check_not_negative("lags", late)
-    return LaggingTides(*bodies, late, jnp.zeros_like(late))
 
 
 def constant_q(
@@ -224,12 +230,12 @@ def constant_q(
 
     Source: MacDonald 1964, Rev. Geophys. 2; Goldreich & Soter 1966, Icarus 5; ȧ: Murray & Dermott 1999, (4.160).
     """
-    bodies = _bodies(G, masses, radii, k2)
-    quality, slow = _one_each("Q", Q, bodies[1]), _one_each("threshold", threshold, bodies[1])
+    m = _masses(masses)
+    quality, slow = (for_each(real_array, *x, m.size) for x in (("Q", Q), ("threshold", threshold)))
     for name, x in (("Q", quality), ("threshold", slow)):
         if concrete(x) and not bool(np.all(np.asarray(x) > 0)):
             raise ValueError(f"{name} must be positive, got {np.asarray(x)}; a body without a tide has k2 = 0")
-    return LaggingTides(*bodies, 1 / (2 * quality * slow), 1 / slow)
+    return LaggingTides(G, m, radii, k2, 1 / (2 * quality * slow), times=1 / slow)
 
 
 class LockedOrbit(NamedTuple):
@@ -274,24 +280,4 @@ def double_synchronous(G: float, masses: ArrayLike, inertia: float, momentum: fl
     return LockedOrbit(a, float(2 * np.pi * np.sqrt(a**3 / GM)))
 
 
-def _bodies(G: ArrayLike, masses: ArrayLike, radii: ArrayLike, k2: ArrayLike) -> tuple[Array, Array, Array, Array]:
-    """G, masses, radii and Love's numbers, the last three (N,), checked."""
-    m = _checks.real_array("masses", masses)
-    if m.ndim != 1 or m.size < 2:
-        raise ValueError(f"masses must have shape (N,), N ≥ 2, got {m.shape}")
-    g, m = _checks.positive("G", G), _checks.positive("masses", m, m.shape)
-    R = _checks.positive("radii", radii, m.shape)
-    love = _one_each("k2", k2, m)
-    _check_not_negative("k2", love)
-    return g, m, R, love
-
-
-def _check_not_negative(name: str, x: Array) -> None:
-    """Raise ValueError if a concrete number of a body's tide is negative."""
-    if concrete(x) and not bool(np.all(np.asarray(x) >= 0)):
-        raise ValueError(f"{name} must be ≥ 0, got {np.asarray(x)}; 0 means a body without a tide")
-
-
-def _one_each(name: str, value: ArrayLike, masses: Array) -> Array:
-    """Numbers of N bodies, (N,), from as many or from one."""
-    return jnp.broadcast_to(_checks.real_array(name, value, (), masses.shape), masses.shape)
+constant_lag = LaggingTides

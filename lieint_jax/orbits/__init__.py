@@ -18,60 +18,6 @@ An orbit is any function t ↦ (position, velocity) that JAX can trace. Any cons
 constants are in km and seconds: `EARTH_GM`, `EARTH_RADIUS`, `EARTH_J2`, `EARTH_RATE`.
 """
 
-from lieint_jax.orbits._earth import (
-    EARTH_GM,
-    EARTH_J2,
-    EARTH_RADIUS,
-    EARTH_RATE,
-    J2000,
-    Air,
-    atmosphere,
-    earth_rotation_angle,
-    julian_date,
-)
-from lieint_jax.orbits._frames import LocalFrame, lvlh
-from lieint_jax.orbits._from_state import KeplerFromState, from_state
-from lieint_jax.orbits._graded_times import graded_times
-from lieint_jax.orbits._kepler import Kepler, encounter_speed, hyperbola, kepler
-from lieint_jax.orbits._magnetic import EarthField, HarmonicField, earth_field
-from lieint_jax.orbits._secular import SecularJ2, secular_j2
-from lieint_jax.orbits._shared import SharedFrame, SharedFunction, shared
-from lieint_jax.orbits._sun import Eclipse, SunDirection, eclipse, sun_direction
-from lieint_jax.orbits._table import Table, VectorTable, table, vector_table
+from lieint_jax._discover import publish as _publish
 
-__all__ = [
-    "EARTH_GM",
-    "EARTH_J2",
-    "EARTH_RADIUS",
-    "EARTH_RATE",
-    "J2000",
-    "Air",
-    "EarthField",
-    "Eclipse",
-    "HarmonicField",
-    "Kepler",
-    "KeplerFromState",
-    "LocalFrame",
-    "SecularJ2",
-    "SharedFrame",
-    "SharedFunction",
-    "SunDirection",
-    "Table",
-    "VectorTable",
-    "atmosphere",
-    "earth_field",
-    "earth_rotation_angle",
-    "eclipse",
-    "encounter_speed",
-    "from_state",
-    "graded_times",
-    "hyperbola",
-    "julian_date",
-    "kepler",
-    "lvlh",
-    "secular_j2",
-    "shared",
-    "sun_direction",
-    "table",
-    "vector_table",
-]
+__all__ = _publish(__name__)  # pyright: ignore[reportUnsupportedDunderAll]

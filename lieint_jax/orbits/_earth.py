@@ -1,4 +1,4 @@
-"""The Earth: constants, days, its rotation, and its upper atmosphere along an orbit."""
+"""The Earth: constants, days, and its rotation."""
 
 from __future__ import annotations
 
@@ -10,11 +10,9 @@ import numpy as np
 from jax import Array
 from jax.typing import ArrayLike
 
-from lieint_jax import _checks
-from lieint_jax._checks import concrete, positive
 from lieint_jax.dates import Epoch, epoch
-from lieint_jax.types import callable_pytree, pytree
-from lieint_jax.types.vectors import cross, norm
+
+__all__ = ["EARTH_GM", "EARTH_J2", "EARTH_RADIUS", "EARTH_RATE", "J2000", "earth_rotation_angle", "julian_date"]
 
 EARTH_GM = 398600.4418  # the Earth's gravitational parameter in km³/s², IERS Conventions 2010
 EARTH_RADIUS = 6378.137  # the equatorial radius in km, WGS 84
@@ -23,7 +21,6 @@ EARTH_RATE = 7.292115e-5  # the rotation in rad/s, IERS Conventions 2010
 J2000 = 2451545.0  # the Julian date of 2000 January 1, 12 h
 
 _ORDINAL = 1721424.5  # the Julian date of day 0 of Python's count
-_FAR = 100.0  # radii of the Earth: an orbit further away was given in another unit
 
 
 def julian_date(year: int, month: int, day: int, hours: float = 0.0) -> float:
@@ -75,108 +72,3 @@ def earth_rotation_angle(date: ArrayLike | Epoch | str) -> Array:
     days = days_since_j2000(date)
     turns = 0.7790572732640 + 0.00273781191135448 * days + days % 1
     return jnp.asarray(2 * jnp.pi * (turns % 1))
-
-
-@pytree
-class Air:
-    """The air along an orbit: `air(t)` is its density and the velocity relative to it. Made by `atmosphere`.
-
-    Attributes:
-        orbit: t ↦ (position, velocity).
-        density: the density at the distance `distance` from the center.
-        distance: that distance.
-        scale_height: the height over which the density falls to 1/e.
-        rate: the angular velocity of the air about the axis z.
-    """
-
-    orbit: Any
-    density: Array
-    distance: Array
-    scale_height: Array
-    rate: Array
-
-    def __call__(self, t: ArrayLike) -> tuple[Array, Array]:
-        """The density, (), and v − ω × r in space, (3,)."""
-        r, v = self.orbit(t)
-        wind = jnp.stack(cross(jnp.stack([0 * self.rate, 0 * self.rate, self.rate]), r))
-        height = norm(r) - self.distance
-        return self.density * jnp.exp(-height / self.scale_height), v - wind
-
-
-def atmosphere(
-    orbit: Any,
-    density: ArrayLike,
-    scale_height: ArrayLike,
-    height: ArrayLike,
-    *,
-    radius: ArrayLike = EARTH_RADIUS,
-    rate: ArrayLike = EARTH_RATE,
-) -> Air:
-    """The air along an orbit: ρ(r) = ρ₀ exp(−(r − R − h₀)/H), which rotates with the Earth.
-
-    | h₀, km | 300 | 350 | 400 | 450 | 500 | 600 |
-    |---|---|---|---|---|---|---|
-    | ρ₀, kg/m³ | 2.418e-11 | 9.518e-12 | 3.725e-12 | 1.585e-12 | 6.967e-13 | 1.454e-13 |
-    | H, km | 53.628 | 53.298 | 58.515 | 60.828 | 63.822 | 71.835 |
-
-    At a given height the density varies by a factor of ten with the activity of the Sun.
-
-    Args:
-        orbit: t ↦ (position, velocity) from the center in inertial axes, z to the pole. The torque of
-            `torques.aerodynamic` has the units of this orbit: positions in meters for N m.
-        density: ρ₀ > 0 at the height h₀.
-        scale_height: H > 0.
-        height: h₀ ≥ 0.
-        radius: R in the orbit's unit of length; by default that of the Earth in km.
-        rate: the rotation of the air, in radians per unit of time.
-
-    Returns:
-        t ↦ (density, velocity of the satellite relative to the air, (3,), in space).
-
-    Raises:
-        ValueError: numbers are out of range, or the orbit is below the ground or in another unit of length than the
-            radius.
-
-    Source: Vallado 2013, Fundamentals of Astrodynamics, table 8-4.
-    """
-    R = positive("radius", radius)
-    above_ground(orbit, R)
-    h0 = _checks.not_negative("height", height)
-    return Air(
-        callable_pytree(orbit),
-        positive("density", density),
-        R + h0,
-        positive("scale_height", scale_height),
-        _checks.real_array("rate", rate, ()),
-    )
-
-
-def above_ground(orbit: Any, radius: Array) -> None:
-    """ValueError if an orbit is not a function, is below the ground at its start or periapsis, or has another unit."""
-    _checks.function("orbit", lambda t: orbit(t)[0], "the time t, with (position, velocity)", (3,), jnp.zeros(()))
-    if not concrete(orbit, radius):
-        return
-    lowest = _lowest(orbit)
-    if lowest is None:
-        return
-    if not lowest >= 0.99 * float(radius):  # the poles are nearer to the center than the equator
-        raise ValueError(
-            f"the orbit is below the ground: it comes within {lowest:g} of the center, and the radius is "
-            f"{float(radius):g}; both must have one unit of length"
-        )
-    if lowest > _FAR * float(radius):
-        raise ValueError(
-            f"the orbit is {lowest / float(radius):.3g} radii from the center: give the radius {float(radius):g} in "
-            "the orbit's unit of length, such as radius=1000 * km for meters"
-        )
-
-
-def _lowest(orbit: Any) -> float | None:
-    """The distance of the periapsis if the orbit has elements, otherwise the distance at its first time or at t = 0."""
-    orbit = getattr(orbit, "osculating", orbit)
-    if hasattr(orbit, "semi_major_axis"):
-        return abs(float(orbit.semi_major_axis * (1 - orbit.eccentricity)))
-    first = np.asarray(orbit.times)[0] if hasattr(orbit, "times") else 0.0
-    with _checks.at_once():
-        found = orbit(jnp.asarray(first))[0]
-    return None if not concrete(found) else float(np.linalg.norm(np.asarray(found)))

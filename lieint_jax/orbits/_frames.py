@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from typing import Any
 
 import jax
@@ -12,13 +11,12 @@ from jax.typing import ArrayLike
 
 from lieint_jax import _checks
 from lieint_jax.groups import so3
+from lieint_jax.orbits._from_state import KeplerFromState
+from lieint_jax.orbits._kepler import Kepler
 from lieint_jax.types import argument, callable_pytree, pytree
 from lieint_jax.types.vectors import cross, dot, norm
 
-
-def _orbit(orbit: Callable[..., tuple[Array, Array]]) -> Callable[..., tuple[Array, Array]]:
-    _checks.function("orbit", lambda t: orbit(t)[0], "the time t, with (position, velocity)", (3,), jnp.zeros(()))
-    return callable_pytree(orbit)
+__all__ = ["LocalFrame", "lvlh"]
 
 
 @pytree
@@ -35,7 +33,7 @@ class LocalFrame:
         ValueError: `orbit` is not such a function.
     """
 
-    orbit: Any = argument(converter=_orbit)
+    orbit: Any = argument(converter=lambda orbit: callable_pytree(_checks.orbit(orbit)))
 
     def __call__(self, t: ArrayLike) -> Array:
         """The attitude of the frame at time t: the unit quaternion (4,) from its axes to those of space, q₀ ≥ 0."""
@@ -55,7 +53,7 @@ class LocalFrame:
         It is −|h|/r² about y, and −r(v̇·ĥ)/|h| about z, because the plane of a perturbed orbit rotates.
         """
         t = jnp.asarray(t)
-        if hasattr(self.orbit, "acceleration"):
+        if isinstance(self.orbit, Kepler | KeplerFromState):
             r, v = self.orbit(t)
             acceleration = self.orbit.acceleration(r)
         else:

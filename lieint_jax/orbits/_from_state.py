@@ -2,20 +2,19 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import Array, lax
 from jax.typing import ArrayLike
 
-from lieint_jax import _checks
-from lieint_jax._checks import concrete
+from lieint_jax._checks import concrete, named, real_array
 from lieint_jax.orbits._anomaly import elliptic_anomaly, hyperbolic_anomaly, less_sine, sinh_less, slope
 from lieint_jax.orbits._kepler import Kepler
-from lieint_jax.types import pytree
+from lieint_jax.types import argument, pytree, set_fields
 from lieint_jax.types.vectors import cross, dot, norm
+
+__all__ = ["KeplerFromState", "from_state"]
 
 _LINE = 1e-12  # |r × v| over |r||v| below which an orbit is a line
 _REST = 0.25  # |1 − e| above which e has all its digits
@@ -23,22 +22,52 @@ _REST = 0.25  # |1 − e| above which e has all its digits
 
 @pytree
 class KeplerFromState:
-    """A Kepler orbit: `orbit(t)` is the position and the velocity at time t. Made by `from_state`.
+    """The Kepler orbit through a position and a velocity, elliptic or hyperbolic: `orbit(t)` is both at the time t.
+
+    Values and derivatives are regular for circles and for orbits in the xy-plane. `orbit.elements` has the elements of
+    `kepler`. Positions on an ellipse are right to a few ulp of a, plus the effect of rounding the mean anomaly; on a
+    hyperbola with e ≥ 1.3 to 20 ulp of |a|(1 + r₀r/a²). That is 4e-8 |a| from r₀ = 4500 |a| on one side to the same
+    on the other, where an ulp of the state changes the position by 1.5e-9 |a|; `orbit.elements(t)` is right to 4e-10
+    |a| there. Near a parabola the state determines a less well, but positions near the center to a few ulp of r.
 
     With x = E − E₀, the change of the eccentric anomaly, and a > 0 (an ellipse)
 
         r(t) = f r₀ + g v₀,    f = 1 − (a/r₀)(1 − cos x),    g = √(a/μ)[r₀ sin x + √(a/μ) r₀·v₀ (1 − cos x)]
 
-    Attributes:
-        mu: the gravitational parameter.
-        position, velocity: at the time `start`, (3,).
-        start: that time.
+    Args:
+        mu: the gravitational parameter GM, > 0, in length³ / time².
+        position, velocity: position and velocity at the time t, relative to the center of attraction, (3,) each.
+        t: that time.
+
+    Raises:
+        ValueError: μ ≤ 0; the position is the center; the velocity is parallel to the position, so that the orbit is a
+            line; the orbit is a parabola; or a value is not a finite real number.
+
+    Source: Battin 1999, An Introduction to the Mathematics and Methods of Astrodynamics, 3.3 and 4.3.
+
+    Example:
+        >>> orbit = from_state(1.0, [1.0, 0.0, 0.0], [0.0, 1.0, 0.0])
+        >>> float(orbit.eccentricity)
+        0.0
     """
 
-    mu: Array
-    position: Array
-    velocity: Array
-    start: Array
+    mu: Array = argument(converter=named(real_array, "mu", ()))
+    position: Array = argument(converter=named(real_array, "position", (3,)))
+    velocity: Array = argument(converter=named(real_array, "velocity", (3,)))
+    t: Array = argument(converter=named(real_array, "t", ()), default=0.0)
+
+    def check_fields(self) -> None:
+        """Raise ValueError if no ellipse or hyperbola passes there; all fields are of one dtype."""
+        if concrete(self):
+            _check(float(self.mu), np.asarray(self.position, float), np.asarray(self.velocity, float))
+        given = {"mu": self.mu, "position": self.position, "velocity": self.velocity, "t": self.t}
+        dtype = jnp.result_type(*given.values())
+        set_fields(self, **{name: x.astype(dtype) for name, x in given.items()})
+
+    @property
+    def start(self) -> Array:
+        """The time t of the position and the velocity."""
+        return self.t
 
     @property
     def semi_major_axis(self) -> Array:
@@ -73,7 +102,7 @@ class KeplerFromState:
         latitude = jnp.arctan2(dot(self.position, across), dot(self.position, N))
         half = jnp.where(closed, jnp.tan(E / 2), jnp.tanh(E / 2))
         anomaly = 2 * jnp.arctan(jnp.sqrt((1 + e) / rest) * half)
-        time = self.start - M / self.mean_motion
+        time = self.t - M / self.mean_motion
         digits = None if concrete(rest) and float(rest) > _REST else rest
         return Kepler(self.mu, self.semi_major_axis, e, inclination, node, latitude - anomaly, time, rest=digits)
 
@@ -106,7 +135,7 @@ class KeplerFromState:
         return ratio / (1 + jnp.where(self._inverse_axis > 0, jnp.sqrt(c * c + s * s), jnp.sqrt(1 + ratio)))
 
     def _on_ellipse(self, t: ArrayLike) -> tuple[Array, Array]:
-        M = self.mean_motion * (t - self.start)
+        M = self.mean_motion * (t - self.t)
         M = M - 2 * jnp.pi * lax.stop_gradient(jnp.round(M / (2 * jnp.pi)))
         c, s, r0 = self._anomaly_parts()  # lengths over |a|, times over 1/n
         x = _elliptic_change(M, c, s, r0, self._rest)
@@ -114,7 +143,7 @@ class KeplerFromState:
         return self._propagate(S, rest, r0 * jnp.cos(x) + rest + s * S, r0 * S + s * rest)
 
     def _on_hyperbola(self, t: ArrayLike) -> tuple[Array, Array]:
-        M = self.mean_motion * (t - self.start)
+        M = self.mean_motion * (t - self.t)
         c, s, r0 = self._anomaly_parts()
         excess = self._rest
         e = 1 + excess
@@ -130,43 +159,6 @@ class KeplerFromState:
         n = self.mean_motion
         f, dg = 1 - rest / r0, 1 - rest / r
         return f * self.position + g / n * self.velocity, -n * S / (r * r0) * self.position + dg * self.velocity
-
-
-def from_state(mu: ArrayLike, position: Any, velocity: Any, t: ArrayLike = 0.0) -> KeplerFromState:
-    """The Kepler orbit through a position and a velocity, elliptic or hyperbolic.
-
-    Values and derivatives are regular for circles and for orbits in the xy-plane. `orbit.elements` has the elements of
-    `kepler`. Positions on an ellipse are right to a few ulp of a, plus the effect of rounding the mean anomaly; on a
-    hyperbola with e ≥ 1.3 to 20 ulp of |a|(1 + r₀r/a²). That is 4e-8 |a| from r₀ = 4500 |a| on one side to the same
-    on the other, where an ulp of the state changes the position by 1.5e-9 |a|; `orbit.elements(t)` is right to 4e-10
-    |a| there. Near a parabola the state determines a less well, but positions near the center to a few ulp of r.
-
-    Args:
-        mu: the gravitational parameter GM, > 0, in length³ / time².
-        position, velocity: position and velocity at the time t, relative to the center of attraction, (3,) each.
-        t: that time.
-
-    Returns:
-        A function t ↦ (position, velocity).
-
-    Raises:
-        ValueError: μ ≤ 0; the position is the center; the velocity is parallel to the position, so that the orbit is a
-            line; the orbit is a parabola; or a value is not a finite real number.
-
-    Source: Battin 1999, An Introduction to the Mathematics and Methods of Astrodynamics, 3.3 and 4.3.
-
-    Example:
-        >>> orbit = from_state(1.0, [1.0, 0.0, 0.0], [0.0, 1.0, 0.0])
-        >>> float(orbit.eccentricity)
-        0.0
-    """
-    r, v = _checks.real_array("position", position, (3,)), _checks.real_array("velocity", velocity, (3,))
-    m, start = _checks.real_array("mu", mu, ()), _checks.real_array("t", t, ())
-    dtype = jnp.result_type(r, v, m, start)
-    orbit = KeplerFromState(*(x.astype(dtype) for x in (m, r, v, start)))
-    if concrete(orbit):
-        _check(float(m), np.asarray(r, float), np.asarray(v, float))
-    return orbit
 
 
 def _check(mu: float, r: np.ndarray, v: np.ndarray) -> None:
@@ -241,3 +233,6 @@ def _(primals: tuple[Array, ...], tangents: tuple[Array, ...]) -> tuple[Array, A
     x = _hyperbolic_change(*primals)
     M, c, s, *_ = tangents
     return x, (M - jnp.sinh(x) * c - 2 * jnp.sinh(x / 2) ** 2 * s) / _hyperbolic_slope(x, *primals[1:4])
+
+
+from_state = KeplerFromState

@@ -12,6 +12,8 @@ from jax import Array
 
 from lieint_jax import _checks
 
+__all__ = ["graded_times"]
+
 _GRADINGS, _PARTS = 4, 16  # passes of `graded_times`, and parts of a step in its sums
 
 

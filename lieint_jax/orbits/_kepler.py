@@ -23,6 +23,8 @@ from lieint_jax.orbits._anomaly import Function, elliptic_anomaly, hyperbolic_an
 from lieint_jax.types import pytree, static
 from lieint_jax.types.vectors import dot
 
+__all__ = ["Kepler", "encounter_speed", "hyperbola", "kepler"]
+
 
 @pytree
 class Kepler:
@@ -141,19 +143,12 @@ def kepler(
         >>> position.tolist()
         [0.5, 0.0, 0.0]
     """
-    given = {
-        "mu": mu,
-        "semi_major_axis": semi_major_axis,
-        "eccentricity": eccentricity,
-        "inclination": inclination,
-        "node": node,
-        "periapsis": periapsis,
-        "periapsis_time": periapsis_time,
-    }
-    elements = {name: _checks.real_array(name, value, ()) for name, value in given.items()}
+    given = mu, semi_major_axis, eccentricity, inclination, node, periapsis, periapsis_time
+    names = [field.name for field in dataclasses.fields(Kepler)]
+    elements = {name: _checks.real_array(name, value, ()) for name, value in zip(names, given, strict=False)}
     dtype = jnp.result_type(*elements.values())
     elements = {name: value.astype(dtype) for name, value in elements.items()}
-    _check_elements(*(float(np.asarray(x)) if concrete(x) else None for x in (mu, semi_major_axis, eccentricity)))
+    _check_elements(*(float(np.asarray(x)) if concrete(x) else None for x in given[:3]))
     e = elements["eccentricity"]
     return Kepler(**elements, closed=bool(float(e) < 1) if concrete(e) else None)
 

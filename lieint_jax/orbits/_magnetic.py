@@ -15,16 +15,12 @@ from jax.typing import ArrayLike
 from lieint_jax import _checks
 from lieint_jax._checks import positive
 from lieint_jax.dates import Epoch
-from lieint_jax.orbits._earth import (
-    EARTH_RATE,
-    J2000,
-    above_ground,
-    days_since_j2000,
-    earth_rotation_angle,
-    julian_date,
-)
+from lieint_jax.orbits._air import above_ground
+from lieint_jax.orbits._earth import EARTH_RATE, J2000, days_since_j2000, earth_rotation_angle, julian_date
 from lieint_jax.types import callable_pytree, pytree
 from lieint_jax.types.vectors import dot
+
+__all__ = ["EarthField", "HarmonicField", "earth_field"]
 
 _RADIUS = 6371.2  # km, of the coefficients of IGRF
 _YEARS = np.arange(2000.0, 2031.0, 5.0)

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import dataclasses
+
 import jax.numpy as jnp
 from jax import Array
 from jax.typing import ArrayLike
@@ -13,6 +15,8 @@ from lieint_jax.orbits._earth import EARTH_J2, EARTH_RADIUS
 from lieint_jax.orbits._kepler import Kepler, kepler
 from lieint_jax.types import pytree
 from lieint_jax.types.vectors import cross
+
+__all__ = ["SecularJ2", "secular_j2"]
 
 
 @pytree
@@ -54,17 +58,10 @@ class SecularJ2:
         orbit, since = self.osculating, t - self.osculating.periapsis_time
         node_rate, periapsis_rate, anomaly_rate = self.rates
         drift = anomaly_rate / self.mean_motion  # of the clock of the ellipse
-        moved = Kepler(
-            orbit.mu,
-            orbit.semi_major_axis,
-            orbit.eccentricity,
-            orbit.inclination,
-            orbit.node + node_rate * since,
-            orbit.periapsis + periapsis_rate * since,
-            jnp.zeros_like(since),
-        )
+        node, periapsis = orbit.node + node_rate * since, orbit.periapsis + periapsis_rate * since
+        moved = dataclasses.replace(orbit, node=node, periapsis=periapsis, periapsis_time=jnp.zeros_like(since))
         r, v = moved(drift * since)
-        i, node = moved.inclination, moved.node
+        i = orbit.inclination
         normal = jnp.stack([jnp.sin(i) * jnp.sin(node), -jnp.sin(i) * jnp.cos(node), jnp.cos(i)])
         rotation = periapsis_rate * normal + node_rate * jnp.asarray([0.0, 0.0, 1.0], normal.dtype)
         return r, drift * v + jnp.stack(cross(rotation, r))

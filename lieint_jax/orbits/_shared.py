@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import operator
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import partial
 from typing import Any
@@ -41,7 +43,7 @@ class SharedFunction:
     function: _Constant = static()
 
     def __call__(self, t: ArrayLike) -> Any:
-        return _call(self.function, "__call__", t)
+        return _call(self.function, operator.call, t)
 
 
 @pytree
@@ -50,12 +52,16 @@ class SharedFrame(SharedFunction):
 
     def angular_velocity(self, t: ArrayLike) -> Array:
         """The angular velocity in the axes of the frame."""
-        return _call(self.function, "angular_velocity", t)
+        return _call(self.function, _angular_velocity, t)
 
 
 @partial(jax.jit, static_argnums=(0, 1))
-def _call(function: _Constant, method: str, t: ArrayLike) -> Any:
-    return getattr(function.value, method)(t)
+def _call(function: _Constant, ask: Callable[[Any, ArrayLike], Any], t: ArrayLike) -> Any:
+    return ask(function.value, t)
+
+
+def _angular_velocity(frame: Any, t: ArrayLike) -> Array:
+    return frame.angular_velocity(t)
 
 
 def shared(function: Any) -> SharedFunction:

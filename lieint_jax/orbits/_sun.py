@@ -10,12 +10,15 @@ from jax import Array
 from jax.typing import ArrayLike
 
 from lieint_jax import _checks
-from lieint_jax._checks import positive
+from lieint_jax._checks import named, positive
 from lieint_jax.dates import Epoch
+from lieint_jax.orbits._air import above_ground
 from lieint_jax.orbits._anomaly import less_sine
-from lieint_jax.orbits._earth import EARTH_RADIUS, above_ground, days_since_j2000
-from lieint_jax.types import callable_pytree, pytree, static
+from lieint_jax.orbits._earth import EARTH_RADIUS, days_since_j2000
+from lieint_jax.types import argument, callable_pytree, pytree, static
 from lieint_jax.types.vectors import cross, dot, norm
+
+__all__ = ["Eclipse", "SunDirection", "eclipse", "sun_direction"]
 
 SUN_ANGLE = 0.0046524  # the half-angle of the Sun at 1 au: asin(696000 km / 149597870.7 km)
 
@@ -60,23 +63,47 @@ def sun_direction(date: ArrayLike | Epoch | str, day: ArrayLike = 86400.0) -> Su
     return SunDirection(days, positive("day", day))
 
 
+def _sun(sun: Any) -> Any:
+    if not callable(sun):
+        return _checks.unit_vector("sun", sun)
+    _checks.function("sun", sun, "the time t", (3,), jnp.zeros(()))
+    return callable_pytree(sun)
+
+
+def _shadow(shadow: Any) -> Literal["conical", "cylindrical"]:
+    if shadow not in ("conical", "cylindrical"):
+        raise ValueError(f'shadow must be "conical" or "cylindrical", got {shadow!r}')
+    return shadow
+
+
 @pytree
 class Eclipse:
-    """The visible fraction of the Sun's disc: `light(t)`, from 0 to 1. Made by `eclipse`.
+    """The fraction of the sunlight that reaches a satellite, from 0 in the Earth's shadow to 1.
 
-    Attributes:
-        orbit: t ↦ (position, velocity).
-        sun: the direction of the Sun, or a function of time with such values, of any length.
-        radius: of the Earth.
-        angle: the half-angle of the Sun; 0 for a shadow that is a cylinder.
-        cylinder: whether the shadow is a cylinder.
+    Args:
+        orbit: t ↦ (position, velocity) from the Earth's center.
+        sun: the unit vector to the Sun in space, (3,), or a function of time whose value points to it
+            (`sun_direction`).
+        radius: of the Earth, in the orbit's unit of length.
+        shadow: "conical", with a penumbra, continuous in time; or "cylindrical", 0 or 1.
+        angle: the half-angle of the Sun's disc, in radians.
+
+    Raises:
+        ValueError: `shadow` is none of these, `sun` is no unit vector and no such function, or the orbit is below the
+            ground or in another unit.
+
+    Source: Montenbruck & Gill 2000, Satellite Orbits, 3.4.2.
     """
 
-    orbit: Any
-    sun: Any
-    radius: Array
-    angle: Array
-    cylinder: bool = static()
+    orbit: Any = argument(converter=callable_pytree)
+    sun: Any = argument(converter=_sun)
+    radius: Array = argument(converter=named(positive, "radius"), default=EARTH_RADIUS)
+    shadow: Literal["conical", "cylindrical"] = static(converter=_shadow, default="conical")
+    angle: Array = argument(converter=named(positive, "angle"), default=SUN_ANGLE, kw_only=True)
+
+    def check_fields(self) -> None:
+        """Raise ValueError if the orbit is below the ground or in another unit."""
+        above_ground(self.orbit, self.radius)
 
     def __call__(self, t: ArrayLike) -> Array:
         """1 in the light, 0 in the shadow; the visible part of the disc in the penumbra of a cone."""
@@ -84,7 +111,7 @@ class Eclipse:
         s = jnp.asarray(self.sun(t) if callable(self.sun) else self.sun)
         along, beside = dot(r, s), cross(r, s)
         off = jnp.sqrt(jnp.maximum(dot(beside, beside), jnp.finfo(r.dtype).tiny))
-        if self.cylinder:
+        if self.shadow == "cylindrical":
             edge = self.radius * norm(s)
             lit, dark = (along >= 0) | (off >= edge), (along < 0) & (off < edge)  # neither for NaN
             return jnp.where(lit, 1.0, jnp.where(dark, 0.0, jnp.nan)).astype(r.dtype)
@@ -108,37 +135,4 @@ def _covered_fraction(a: Array, b: Array, c: Array) -> Array:
     return jnp.where(apart, 0, jnp.where(inside, whole, area / (jnp.pi * a * a)))
 
 
-def eclipse(
-    orbit: Any,
-    sun: Any,
-    radius: ArrayLike = EARTH_RADIUS,
-    shadow: Literal["conical", "cylindrical"] = "conical",
-    *,
-    angle: ArrayLike = SUN_ANGLE,
-) -> Eclipse:
-    """The fraction of the sunlight that reaches a satellite, from 0 in the Earth's shadow to 1.
-
-    Args:
-        orbit: t ↦ (position, velocity) from the Earth's center.
-        sun: the unit vector to the Sun in space, (3,), or a function of time whose value points to it
-            (`sun_direction`).
-        radius: of the Earth, in the orbit's unit of length.
-        shadow: "conical", with a penumbra, continuous in time; or "cylindrical", 0 or 1.
-        angle: the half-angle of the Sun's disc, in radians.
-
-    Raises:
-        ValueError: `shadow` is none of these, `sun` is no unit vector and no such function, or the orbit is below the
-            ground or in another unit.
-
-    Source: Montenbruck & Gill 2000, Satellite Orbits, 3.4.2.
-    """
-    if shadow not in ("conical", "cylindrical"):
-        raise ValueError(f'shadow must be "conical" or "cylindrical", got {shadow!r}')
-    R = positive("radius", radius)
-    above_ground(orbit, R)
-    if callable(sun):
-        _checks.function("sun", sun, "the time t", (3,), jnp.zeros(()))
-        sun = callable_pytree(sun)
-    else:
-        sun = _checks.unit_vector("sun", sun)
-    return Eclipse(callable_pytree(orbit), sun, R, positive("angle", angle), shadow == "cylindrical")
+eclipse = Eclipse

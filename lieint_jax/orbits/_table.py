@@ -15,6 +15,8 @@ from lieint_jax._checks import concrete
 from lieint_jax._numerics.lookup import increasing_times, interval
 from lieint_jax.types import pytree
 
+__all__ = ["Table", "VectorTable", "table", "vector_table"]
+
 # disagreements that are a warning and an error; of 6 entries a revolution it is below 1e-3
 _MODEST, _FACTOR = 0.02, 0.7
 

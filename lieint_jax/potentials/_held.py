@@ -2,20 +2,19 @@
 
 from __future__ import annotations
 
-import dataclasses
+import copy
 from collections.abc import Callable
 from typing import Any
 
 import jax
 import jax.numpy as jnp
 from jax import Array
-from jax.typing import ArrayLike
 
 from lieint_jax import _checks
-from lieint_jax._checks import concrete
+from lieint_jax._checks import concrete, named
 from lieint_jax.groups import so3
-from lieint_jax.potentials._potential import Potential, count, domain, force, invariant_form
-from lieint_jax.types import callable_pytree, pytree
+from lieint_jax.potentials._potential import Potential
+from lieint_jax.types import argument, callable_pytree, pytree, set_fields
 from lieint_jax.types.shapes import PoseMomenta, Positions, Rotations, Scalar
 
 __all__ = ["Held", "held"]
@@ -23,17 +22,54 @@ __all__ = ["Held", "held"]
 Pose = Array | Callable[[Array], Array] | None  # (7,), or t ↦ (7,)
 
 
+def _without_ends(potential: Potential) -> Potential:
+    if not isinstance(potential, Potential):
+        raise ValueError(f"potential must be one of lieint_jax.potentials, got {potential!r}")
+    if potential.driven:
+        raise ValueError("the ends of this potential are held already: give both ends in one call of potentials.held")
+    return potential
+
+
+def _pose(name: str, end: Any) -> Array | Callable[[Array], Array]:
+    if callable(end):
+        _checks.function(name, end, "the time", (7,), jax.ShapeDtypeStruct((), jnp.result_type(float)))
+        return callable_pytree(end)
+    pose = _checks.real_array(name, end, (7,))
+    if concrete(pose):
+        _checks.unit_quaternion(name, pose[3:], (4,))
+    return jnp.concatenate([pose[:3], so3.normalize(pose[3:])])
+
+
 @pytree
 class Held(Potential):
-    """A potential of bodies of which the first, the last or both have given poses. Made by `held`."""
+    """The potential of a chain with its first body, its last or both at given poses: clamped or driven ends.
 
-    potential: Potential  # of all bodies
-    first: Pose = None  # constant or driven; None for a body that moves
-    last: Pose = None
+    The given bodies are no bodies of the system: of a potential of N bodies with one end held, N − 1 move. P and L are
+    not conserved. With an end driven, only `schemes.bodies_energy_momentum` integrates the bodies, and `State.work`
+    counts the work of the end.
+
+    Args:
+        potential: of all bodies, one of `lieint_jax.potentials`.
+        first, last: a pose (x, y, z, qw, qx, qy, qz), (7,), with a unit quaternion body to space, or a function t ↦
+            pose, or None for a body that moves.
+
+    Raises:
+        ValueError: no end is given, a pose has a wrong shape or no unit quaternion, or the potential is not one of
+            `lieint_jax.potentials`.
+    """
+
+    potential: Potential = argument(converter=_without_ends)
+    first: Pose = argument(converter=named(_pose, "first", optional=True), default=None)
+    last: Pose = argument(converter=named(_pose, "last", optional=True), default=None)
+
+    def check_fields(self) -> None:
+        """Raise ValueError if no end is given."""
+        if self.first is None and self.last is None:
+            raise ValueError("held needs a pose of the first or the last body, got neither")
 
     @property
     def count(self) -> int | None:
-        every = count(self.potential)
+        every = self.potential.count
         return None if every is None else every - sum(end is not None for end in (self.first, self.last))
 
     @property
@@ -46,7 +82,7 @@ class Held(Potential):
 
     @property
     def domain(self) -> str:  # pyright: ignore[reportIncompatibleVariableOverride]
-        return domain(self.potential)
+        return self.potential.domain
 
     @property
     def symmetry(self) -> Array:
@@ -56,7 +92,7 @@ class Held(Potential):
     def at(self, t: Any) -> Held:
         """The same with the poses at the time t, constant."""
         first, last = (end(t) if callable(end) else end for end in (self.first, self.last))
-        return dataclasses.replace(self, first=first, last=last)
+        return set_fields(copy.copy(self), first=first, last=last)
 
     def poses(self, t: Any) -> tuple[Array, Array]:
         """The positions (h, 3) and rotations (h, 3, 3) of the given bodies at the time t."""
@@ -75,7 +111,7 @@ class Held(Potential):
         Raises:
             ValueError: poses are functions of time, and `given` is missing.
         """
-        return invariant_form(self.potential).invariants(*self._all_bodies(x, R, *given))
+        return self.potential.invariants(*self._all_bodies(x, R, *given))
 
     def force(self, x: Positions, R: Rotations) -> PoseMomenta:
         """The forces and torques on the moving bodies, (N, 6).
@@ -84,7 +120,7 @@ class Held(Potential):
             ValueError: poses are functions of time.
         """
         first = int(self.first is not None)
-        return force(self.potential, *self._all_bodies(x, R))[first : first + len(x)]
+        return self.potential.force(*self._all_bodies(x, R))[first : first + len(x)]
 
     def _all_bodies(self, x: Positions, R: Rotations, *given: Array) -> tuple[Array, Array]:
         """Positions (M, 3) and rotations (M, 3, 3) of all bodies, with the constant poses or those at `given`."""
@@ -95,11 +131,11 @@ class Held(Potential):
 
     def value(self, invariants: Any) -> Scalar:
         """V of the invariants."""
-        return invariant_form(self.potential).value(invariants)
+        return self.potential.value(invariants)
 
     def discrete_gradient(self, start: Any, end: Any) -> Any:
         """The discrete gradient of the potential of all bodies."""
-        return invariant_form(self.potential).discrete_gradient(start, end)
+        return self.potential.discrete_gradient(start, end)
 
     def __add__(self, other: Any) -> Any:
         self._check_constant()
@@ -114,43 +150,4 @@ class Held(Potential):
             raise ValueError("add potentials of all bodies before ends are held: potentials.held(a + b, …)")
 
 
-def held(
-    potential: Potential,
-    first: ArrayLike | Callable[[Array], Array] | None = None,
-    last: ArrayLike | Callable[[Array], Array] | None = None,
-) -> Held:
-    """The potential of a chain with its first body, its last or both at given poses: clamped or driven ends.
-
-    The given bodies are no bodies of the system: of a potential of N bodies with one end held, N − 1 move. P and L are
-    not conserved. With an end driven, only `schemes.bodies_energy_momentum` integrates the bodies, and `State.work`
-    counts the work of the end.
-
-    Args:
-        potential: of all bodies, one of `lieint_jax.potentials`.
-        first, last: a pose (x, y, z, qw, qx, qy, qz), (7,), with a unit quaternion body to space, or a function t ↦
-            pose, or None for a body that moves.
-
-    Raises:
-        ValueError: no end is given, a pose has a wrong shape or no unit quaternion, or the potential is not one of
-            `lieint_jax.potentials`.
-    """
-    if not isinstance(potential, Potential):
-        raise ValueError(f"potential must be one of lieint_jax.potentials, got {potential!r}")
-    if potential.driven:
-        raise ValueError("the ends of this potential are held already: give both ends in one call of potentials.held")
-    if first is None and last is None:
-        raise ValueError("held needs a pose of the first or the last body, got neither")
-    return Held(potential, _given("first", first), _given("last", last))
-
-
-def _given(name: str, end: Any) -> Pose:
-    """A pose or a motion, checked."""
-    if end is None:
-        return None
-    if callable(end):
-        _checks.function(name, end, "the time", (7,), jax.ShapeDtypeStruct((), jnp.result_type(float)))
-        return callable_pytree(end)
-    pose = _checks.real_array(name, end, (7,))
-    if concrete(pose):
-        _checks.unit_quaternion(name, pose[3:], (4,))
-    return jnp.concatenate([pose[:3], so3.normalize(pose[3:])])
+held = Held

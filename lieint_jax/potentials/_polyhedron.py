@@ -53,11 +53,11 @@ class Polyhedron(Potential):
     center: Array  # the center of mass, (3,)
     table: Array  # the numbers of all faces, in blocks
 
-    def value(self, x: Array) -> Array:
+    def value(self, x: Array) -> Array:  # pyright: ignore[reportIncompatibleMethodOverride]
         """The potential φ of a unit mass at points (…, 3), (…): −G·mass/r far away."""
         return -self.G * self.density * self._derivatives(0, x)[..., 0]
 
-    def force(self, x: Array) -> Array:
+    def force(self, x: Array) -> Array:  # pyright: ignore[reportIncompatibleMethodOverride]
         """The force on a unit mass, −∂φ/∂x, at points (…, 3), (…, 3)."""
         return self.G * self.density * self._derivatives(1, x)
 

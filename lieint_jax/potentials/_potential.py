@@ -3,15 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from functools import partial, reduce
-from typing import Any, NamedTuple
+from functools import reduce
+from typing import Any
 
 import jax.numpy as jnp
 from jax import Array
 from jax.typing import ArrayLike
 
 from lieint_jax._numerics.discrete_gradient import discrete_gradient
-from lieint_jax.types import State, autodiff_gradient, callable_pytree, clock, pytree
+from lieint_jax.types import Partitioned, State, autodiff_gradient, callable_pytree, clock, pytree
 from lieint_jax.types.shapes import PoseMomenta, Positions, Rotations, Scalar
 
 __all__ = [
@@ -35,12 +35,12 @@ _APART = 1e-6  # above this |ΔI|²/|I|² the quadrature is corrected so that D�
 class Potential:
     """A potential V(x, Λ) of N rigid bodies, called with positions (N, 3) and rotations, body to space, (N, 3, 3).
 
-    A subclass may define `force(x, R)`, the forces and torques in closed form, (N, 6), and `forces(x, q)`, the same for
-    few bodies with unit quaternions q in unrolled scalars, with torques in body axes (see `MacCullagh`).
+    A subclass defines `__call__`, and may define `force(x, R)`, the forces and torques in closed form, (N, 6).
 
-    It may define `invariants(x, R)`, functions quadratic in (x, R), (k,), or a tuple of such arrays, with V as their
-    function `value`, in place of `__call__`, and `discrete_gradient(I0, I1)`. By these the energy–momentum scheme
-    conserves energy, and those components of P and L that generate symmetries of the invariants.
+    Or it defines `invariants(x, R)`, functions quadratic in (x, R), (k,), or a tuple of such arrays, and V as their
+    function `value`, and may define `discrete_gradient(I0, I1)`. By these the energy–momentum scheme conserves energy,
+    and those components of P and L that generate symmetries of the invariants. Without them they are the poses relative
+    to the first body.
     """
 
     chain = False  # whether each body acts only on the one before and the one after it
@@ -48,7 +48,27 @@ class Potential:
     driven = False  # whether it has poses that are given functions of time, `poses(t)`, and `at(t)` with those constant
 
     def __call__(self, x: Positions, R: Rotations) -> Scalar:
-        return self.value(self.invariants(x, R))  # pyright: ignore[reportAttributeAccessIssue]
+        return self.value(self.invariants(x, R))
+
+    def force(self, x: Positions, R: Rotations) -> PoseMomenta:
+        """The forces −∂V/∂x and the torques −∂V(exp(δ̂)R)/∂δ in space, (N, 6); by default by autodiff of V."""
+        along_x, along_R = autodiff_gradient(self, (0, 1))(x, R)
+        return jnp.concatenate([-along_x, torques(R, along_R)], axis=1)
+
+    def invariants(self, x: Positions, R: Rotations) -> Any:
+        """Functions quadratic in positions and rotations, (k,) or a pytree of such arrays."""
+        return relative(x, R)
+
+    def value(self, invariants: Any) -> Scalar:
+        """V of the invariants."""
+        n = invariants.size // 12
+        xi, C = invariants[: 3 * n].reshape(n, 3), invariants[3 * n :].reshape(n, 3, 3)
+        one = jnp.eye(3, dtype=invariants.dtype)[None]
+        return self(jnp.concatenate([jnp.zeros_like(xi[:1]), xi]), jnp.concatenate([one, C]))
+
+    def discrete_gradient(self, start: Any, end: Any) -> Any:
+        """D with D·(I₁ − I₀) = V(I₁) − V(I₀), symmetric; by default by quadrature."""
+        return discrete_gradient(self.value, start, end, apart=_APART)
 
     @property
     def count(self) -> int | None:
@@ -109,49 +129,63 @@ class SumPotential(Potential):
         return kept @ kept.T
 
     def force(self, x: Positions, R: Rotations) -> PoseMomenta:
-        """The forces and torques, (N, 6): in closed form of the terms that have one, by autodiff of the rest."""
-        rest = tuple(term for term in self.terms if not hasattr(term, "force"))
-        known = [force(term, x, R) for term in self.terms if hasattr(term, "force")]
-        return reduce(jnp.add, [*known, _by_autodiff(SumPotential(rest), x, R)] if rest else known)
+        """The forces and torques, (N, 6): in closed form of the terms that have one, by autodiff of the others."""
+        return reduce(jnp.add, (force(term, x, R) for term in self.terms))
 
     def invariants(self, x: Positions, R: Rotations) -> tuple[Any, ...]:
         """The invariants of every term."""
-        return tuple(invariant_form(term).invariants(x, R) for term in self.terms)
+        return tuple(as_potential(term).invariants(x, R) for term in self.terms)
 
     def value(self, invariants: tuple[Any, ...]) -> Scalar:
         """V of the invariants."""
         pairs = zip(self.terms, invariants, strict=True)
-        return reduce(jnp.add, (invariant_form(term).value(own) for term, own in pairs))
+        return reduce(jnp.add, (as_potential(term).value(own) for term, own in pairs))
 
     def discrete_gradient(self, start: tuple[Any, ...], end: tuple[Any, ...]) -> tuple[Any, ...]:
         """The discrete gradient of every term."""
         pairs = zip(self.terms, start, end, strict=True)
-        return tuple(invariant_form(term).discrete_gradient(I0, I1) for term, I0, I1 in pairs)
+        return tuple(as_potential(term).discrete_gradient(I0, I1) for term, I0, I1 in pairs)
+
+
+class _Function(Potential):
+    """A function of positions and rotations, as a potential."""
+
+    def __init__(self, function: Callable[[Array, Array], Array]) -> None:
+        self.function = function
+
+    def __call__(self, x: Positions, R: Rotations) -> Scalar:
+        return self.function(x, R)
+
+
+def as_potential(potential: Callable[[Array, Array], Array]) -> Potential:
+    """A potential itself, or a plain function as one."""
+    own = potential.whole if isinstance(potential, Partitioned) else potential
+    return own if isinstance(own, Potential) else _Function(potential)
 
 
 def count(potential: Callable[[Array, Array], Array]) -> int | None:
     """The number of bodies of a potential or a plain function, None if it accepts any number."""
-    return getattr(potential, "count", None)
+    return as_potential(potential).count
 
 
 def symmetry(potential: Callable[[Array, Array], Array]) -> Array | None:
     """The projector to the part of (P, L) that a potential or a plain function conserves; None if all is conserved."""
-    return getattr(potential, "symmetry", None)
+    return as_potential(potential).symmetry
 
 
 def is_chain(potential: Callable[[Array, Array], Array]) -> bool:
     """Whether by a potential or a plain function each body acts only on the one before and the one after it."""
-    return getattr(potential, "chain", False)
+    return as_potential(potential).chain
 
 
 def domain(potential: Callable[[Array, Array], Array]) -> str:
     """Where a potential or a plain function is defined, in words; "" if everywhere."""
-    return getattr(potential, "domain", "")
+    return as_potential(potential).domain
 
 
 def is_driven(potential: Callable[[Array, Array], Array]) -> bool:
     """Whether a potential or a plain function has poses that are given functions of time."""
-    return getattr(potential, "driven", False)
+    return as_potential(potential).driven
 
 
 def at_time(potential: Callable[[Array, Array], Array], t: Array | None) -> Callable[[Array, Array], Array]:
@@ -172,38 +206,12 @@ def torques(R: Rotations, along_R: Rotations) -> Positions:
 
 def force(potential: Callable[[Array, Array], Array], x: Positions, R: Rotations) -> PoseMomenta:
     """The forces −∂V/∂x and the torques −∂V(exp(δ̂)R)/∂δ in space, (N, 6): in closed form, or by autodiff of V."""
-    own: Any = potential
-    return own.force(x, R) if hasattr(own, "force") else _by_autodiff(potential, x, R)
+    return as_potential(potential).force(x, R)
 
 
-def _by_autodiff(potential: Callable[[Array, Array], Array], x: Positions, R: Rotations) -> PoseMomenta:
-    """The forces and torques, (N, 6)."""
-    along_x, along_R = autodiff_gradient(potential, (0, 1))(x, R)
-    return jnp.concatenate([-along_x, torques(R, along_R)], axis=1)
-
-
-class InvariantForm(NamedTuple):
-    """A potential as a function of invariants that are quadratic in positions and rotations.
-
-    Attributes:
-        invariants: (x, R) ↦ I, (k,) or a pytree of such arrays.
-        value: I ↦ V.
-        discrete_gradient: (I₀, I₁) ↦ D with D·(I₁ − I₀) = V(I₁) − V(I₀), symmetric.
-    """
-
-    invariants: Callable[[Array, Array], Any]
-    value: Callable[[Any], Array]
-    discrete_gradient: Callable[[Any, Any], Any]
-
-
-def invariant_form(potential: Callable[[Array, Array], Array]) -> InvariantForm:
-    """A potential as a function of its invariants, or of poses relative to the first body if it defines none."""
-    own: Any = potential
-    invariants, value = (
-        (own.invariants, own.value) if hasattr(own, "invariants") else (relative, _of_relative(potential))
-    )
-    by_quadrature = partial(discrete_gradient, value, apart=_APART)
-    return InvariantForm(invariants, value, getattr(own, "discrete_gradient", by_quadrature))
+def invariant_form(potential: Callable[[Array, Array], Array]) -> Potential:
+    """A potential by its `invariants`, their function `value`, and a `discrete_gradient`; a plain function, too."""
+    return as_potential(potential)
 
 
 def relative(x: Positions, R: Rotations) -> Array:
@@ -212,18 +220,6 @@ def relative(x: Positions, R: Rotations) -> Array:
     xi = jnp.sum(first[None] * (x[1:] - x[:1])[:, :, None], axis=1)
     C = jnp.sum(first[None, :, :, None] * R[1:, :, None, :], axis=1)
     return jnp.concatenate([xi.ravel(), C.ravel()])
-
-
-def _of_relative(potential: Callable[[Array, Array], Array]) -> Callable[[Array], Array]:
-    """The potential of relative positions and attitudes."""
-
-    def value(relative: Array) -> Array:
-        n = relative.size // 12
-        xi, C = relative[: 3 * n].reshape(n, 3), relative[3 * n :].reshape(n, 3, 3)
-        one = jnp.eye(3, dtype=relative.dtype)[None]
-        return potential(jnp.concatenate([jnp.zeros_like(xi[:1]), xi]), jnp.concatenate([one, C]))
-
-    return value
 
 
 def _terms(potential: Callable[[Array, Array], Array]) -> tuple[Callable[[Array, Array], Array], ...]:

@@ -279,9 +279,10 @@ def group_sites(numbers: dict[str, Any], points: Any) -> tuple[Groups, tuple[Arr
 
 def _rows(name: str, given: Any) -> list[Array]:
     """The numbers of the points of each body; a single number per body belongs to its only point."""
-    if not hasattr(given, "__len__") or getattr(given, "ndim", 1) == 0 or not len(given):
+    rows = list(given) if np.iterable(given) else []
+    if not rows:
         raise ValueError(f"{name} must have an entry for each body, got {given!r}")
-    return [jnp.atleast_1d(_checks.real_array(name, c)) for c in given]
+    return [jnp.atleast_1d(_checks.real_array(name, c)) for c in rows]
 
 
 def site_positions(points: Array, bodies: tuple[int, ...], x: Positions, R: Rotations) -> Array:

@@ -7,24 +7,54 @@ from typing import Any
 import jax.numpy as jnp
 import numpy as np
 from jax import Array
-from numpy.typing import ArrayLike
 
-from lieint_jax import _checks
+from lieint_jax._checks import for_each, named, not_negative, real_array
 from lieint_jax.potentials._potential import Potential
-from lieint_jax.types import pytree, static
+from lieint_jax.types import argument, pytree, set_fields, static
 from lieint_jax.types.shapes import Positions, Rotations, Scalar
 
 __all__ = ["Springs", "springs"]
 
 
+def _pairs(bodies: Any) -> tuple[tuple[int, int], ...]:
+    pairs = np.asarray(bodies)
+    if pairs.ndim != 2 or pairs.shape[1] != 2 or pairs.dtype.kind not in "iu" or (pairs < 0).any():
+        raise ValueError(f"bodies must be pairs of indices ≥ 0, (k, 2), got {bodies!r}")
+    if not len(pairs):
+        raise ValueError("springs needs at least one spring, got bodies of shape (0, 2)")
+    if (pairs[:, 0] == pairs[:, 1]).any():
+        raise ValueError(f"a spring must join two bodies, got {pairs.tolist()}")
+    return tuple((int(i), int(j)) for i, j in pairs)
+
+
 @pytree
 class Springs(Potential):
-    """V = Σ ½ k (r − ℓ)². Made by `springs`."""
+    """Massless springs, each between a point of one body and a point of another: V = Σ ½ k (r − ℓ)².
 
-    points: Array  # the ends of each spring, in the axes of their bodies, (k, 2, 3)
-    stiffness: Array  # (k,)
-    lengths: Array  # ℓ, (k,)
-    bodies: tuple[tuple[int, int], ...] = static()  # the two bodies of each spring
+    The potential is invariant: P and L are conserved. The force of a spring is set to 0 where its ends coincide.
+
+    Args:
+        bodies: the two bodies of each of k springs, counted from 0, (k, 2).
+        points: the springs' ends, in the axes of these bodies, (k, 2, 3).
+        stiffness: ≥ 0, (k,), or one for all.
+        lengths: ℓ ≥ 0, at which the springs are slack, (k,), or one for all.
+
+    Raises:
+        ValueError: there is no spring, shapes disagree, a spring joins a body to itself, or a stiffness or length is
+            negative.
+    """
+
+    bodies: tuple[tuple[int, int], ...] = static(converter=_pairs)
+    points: Array = argument(converter=named(real_array, "points"))
+    stiffness: Array = argument(converter=named(real_array, "stiffness"))
+    lengths: Array = argument(converter=named(real_array, "lengths"), default=0.0)
+
+    def check_fields(self) -> None:
+        """Raise ValueError if shapes disagree; there is a number for each spring."""
+        k = len(self.bodies)
+        real_array("points", self.points, (k, 2, 3))
+        stiffness = for_each(not_negative, "stiffness", self.stiffness, k)
+        set_fields(self, stiffness=stiffness, lengths=for_each(not_negative, "lengths", self.lengths, k))
 
     def invariants(self, x: Positions, R: Rotations) -> Array:
         """The squared length of each spring, (k,)."""
@@ -54,32 +84,4 @@ def _root(u: Array) -> Array:
     return jnp.where(u > 0, jnp.sqrt(jnp.where(u > 0, u, 1)), 0)
 
 
-def springs(bodies: Any, points: ArrayLike, stiffness: ArrayLike, lengths: ArrayLike = 0.0) -> Springs:
-    """Massless springs, each between a point of one body and a point of another: V = Σ ½ k (r − ℓ)².
-
-    The potential is invariant: P and L are conserved. The force of a spring is set to 0 where its ends coincide.
-
-    Args:
-        bodies: the two bodies of each of k springs, counted from 0, (k, 2).
-        points: the springs' ends, in the axes of these bodies, (k, 2, 3).
-        stiffness: ≥ 0, (k,), or one for all.
-        lengths: ℓ ≥ 0, at which the springs are slack, (k,), or one for all.
-
-    Raises:
-        ValueError: there is no spring, shapes disagree, a spring joins a body to itself, or a stiffness or length is
-            negative.
-    """
-    pairs = np.asarray(bodies)
-    if pairs.ndim != 2 or pairs.shape[1] != 2 or pairs.dtype.kind not in "iu" or (pairs < 0).any():
-        raise ValueError(f"bodies must be pairs of indices ≥ 0, (k, 2), got {bodies!r}")
-    if not len(pairs):
-        raise ValueError("springs needs at least one spring, got bodies of shape (0, 2)")
-    if (pairs[:, 0] == pairs[:, 1]).any():
-        raise ValueError(f"a spring must join two bodies, got {pairs.tolist()}")
-    k = len(pairs)
-    at = _checks.real_array("points", points, (k, 2, 3))
-    each, slack = (
-        jnp.broadcast_to(_checks.not_negative(name, given, (), (k,)), (k,))
-        for name, given in (("stiffness", stiffness), ("lengths", lengths))
-    )
-    return Springs(at, each, slack, tuple((int(i), int(j)) for i, j in pairs))
+springs = Springs

@@ -194,14 +194,14 @@ class _Equation(FixedPointEquation[_Ends]):
         As I is quadratic, ΔI is its derivative at the mean along the change, whose rounding errors are proportional to
         the step. Those of I at x + Δx, proportional to |x|, would be added up by Newton's method in the energy.
         """
-        invariants, _, gradient = invariant_form(self.system.potential)
+        form = invariant_form(self.system.potential)
         given, then = (given_poses(self.system.potential, self.state, late) for late in (0, self.dt))
         start, driven = (*_parts(self.state.q), *given), [b - a for a, b in zip(given, then, strict=True)]
         change = (ends.move, jax.vmap(_cayley_difference)(start[1], ends.turn), *driven)
         mean = tuple(a + d / 2 for a, d in zip(start, change, strict=True))
-        I0, delta = invariants(*start), jax.jvp(invariants, mean, change)[1]
-        D = gradient(I0, jax.tree.map(jnp.add, I0, delta))
-        along_x, along_R, *along = jax.vjp(invariants, *mean)[1](D)
+        I0, delta = form.invariants(*start), jax.jvp(form.invariants, mean, change)[1]
+        D = form.discrete_gradient(I0, jax.tree.map(jnp.add, I0, delta))
+        along_x, along_R, *along = jax.vjp(form.invariants, *mean)[1](D)
         work = [jnp.sum(a * moved) for a, moved in zip(along, driven, strict=True)]
         return jnp.concatenate([-along_x, torques(mean[1], along_R)], axis=1), sum(work, jnp.zeros_like(self.dt))
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Sequence
 from typing import Any
 
@@ -16,7 +17,7 @@ from lieint_jax.groups import so3
 from lieint_jax.torques._arguments import VectorOfTime, cut, value_at, vector_of_time
 from lieint_jax.torques._body_axes import middle_axes
 from lieint_jax.torques._wheels import wheel_axes
-from lieint_jax.types import Law, Rotation, argument, parts, pytree, static
+from lieint_jax.types import Law, Rotation, argument, parts, pytree, set_fields, static
 from lieint_jax.types.shapes import PyTree
 from lieint_jax.types.vectors import cross, dot
 
@@ -57,8 +58,8 @@ def allocation(axes: ArrayLike) -> Array:
 
 
 def control_laws(control: Any) -> tuple[Law, ...]:
-    """The laws of a control law; ValueError if one has an internal state."""
-    laws = parts(control)
+    """The laws of a control law, or of several; ValueError if one has an internal state."""
+    laws = control if isinstance(control, tuple) else parts(control)
     for law in laws:
         if (key := law.key or law.reads) is not None:
             raise ValueError(
@@ -82,29 +83,17 @@ def control_torque(laws: tuple[Law, ...], t: Array, q: Array, Omega: Array) -> A
     return total
 
 
+def _window(times: Sequence[ArrayLike] | None) -> tuple[Array, Array] | None:
+    if times is None:
+        return None
+    begin, end = (_checks.real_array("window", x, ()) for x in times)
+    if concrete(begin, end) and not float(begin) < float(end):
+        raise ValueError(f"the window of a motor must end after it begins, got {begin} to {end}")
+    return begin, end
+
+
 @pytree
 class WheelMotor:
-    """Motors of wheels that carry out a control law. Made by `wheel_motor`."""
-
-    control: tuple[Law, ...]
-    axes: Array  # of the wheels, (m, 3)
-    allocation: Array  # from a torque to those of the wheels, (m, 3)
-    window: tuple[Array, Array] | None = None  # the times from and to which they act
-    gyroscopic: bool = static(default=False)  # whether Ω × h of the wheels is canceled
-
-    def __call__(self, t: Array, q: Array, Omega: Array, h: Array) -> Array:
-        """The torques dh_j/dt on the wheels, (m,)."""
-        momentum = jnp.stack(cross(Omega, h @ self.axes)) if self.gyroscopic else 0
-        torques = -(self.allocation @ (control_torque(self.control, t, q, Omega) + momentum))
-        if self.window is None:
-            return torques
-        begin, end = self.window
-        return jnp.where((begin <= t) & (t < end), torques, 0)
-
-
-def wheel_motor(
-    axes: ArrayLike, control: Any, gyroscopic: bool = False, window: Sequence[ArrayLike] | None = None
-) -> WheelMotor:
     """The motors that let wheels carry out a control law: `wheels(axes, inertias, wheel_motor(axes, control))`.
 
     Args:
@@ -118,13 +107,25 @@ def wheel_motor(
         ValueError: axes that are not of unit length or do not span all directions, a law with an internal state, a
             window that does not end after it begins.
     """
-    times = None
-    if window is not None:
-        begin, end = (_checks.real_array("window", x, ()) for x in window)
-        if concrete(begin, end) and not float(begin) < float(end):
-            raise ValueError(f"the window of a motor must end after it begins, got {begin} to {end}")
-        times = begin, end
-    return WheelMotor(control_laws(control), wheel_axes(axes), allocation(axes), times, bool(gyroscopic))
+
+    axes: Array = argument(converter=wheel_axes)
+    control: tuple[Law, ...] = argument(converter=control_laws)
+    gyroscopic: bool = static(converter=bool, default=False)
+    window: tuple[Array, Array] | None = argument(converter=_window, default=None)
+    allocation: Array = dataclasses.field(init=False)  # from a torque to those of the wheels, (m, 3)
+
+    def check_fields(self) -> None:
+        """Set the allocation; ValueError if the axes do not span all directions."""
+        set_fields(self, allocation=allocation(self.axes))
+
+    def __call__(self, t: Array, q: Array, Omega: Array, h: Array) -> Array:
+        """The torques dh_j/dt on the wheels, (m,)."""
+        momentum = jnp.stack(cross(Omega, h @ self.axes)) if self.gyroscopic else 0
+        torques = -(self.allocation @ (control_torque(self.control, t, q, Omega) + momentum))
+        if self.window is None:
+            return torques
+        begin, end = self.window
+        return jnp.where((begin <= t) & (t < end), torques, 0)
 
 
 @pytree
@@ -202,9 +203,9 @@ def unloading(
     Source: Camillo & Markley 1980, J. Guid. Control 3.
     """
     g = wheel_axes(axes)
-    momenta = _checks.real_array("bias", bias, (), (len(g),))
+    momenta = _checks.for_each(_checks.real_array, "bias", bias, len(g))
     k, b = not_negative("gain", gain), vector_of_time("field", field)
-    return Unloading(g, k, b, _limit(max_dipole), jnp.broadcast_to(momenta, (len(g),)), key)
+    return Unloading(g, k, b, _limit(max_dipole), momenta, key)
 
 
 def _magnetic_torque(torque: Array, B: Array, max_dipole: Array | None) -> Array:
@@ -214,4 +215,4 @@ def _magnetic_torque(torque: Array, B: Array, max_dipole: Array | None) -> Array
     return jnp.stack(cross(m if max_dipole is None else cut(m, max_dipole), B))
 
 
-torquers = Torquers
+torquers, wheel_motor = Torquers, WheelMotor

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import abc
 from collections.abc import Callable
+from functools import partial
 from typing import Any
 
 import jax.numpy as jnp
 from jax import Array
-from numpy.typing import ArrayLike
 
 from lieint_jax import _checks
 from lieint_jax._checks import named
@@ -16,7 +16,7 @@ from lieint_jax._numerics.discrete_gradient import discrete_gradient
 from lieint_jax.groups import so3
 from lieint_jax.torques._arguments import VectorOfTime, evaluate, value_at, vector_of_time
 from lieint_jax.torques._body_axes import end_axes, start_axes
-from lieint_jax.types import Law, Rotation, argument, callable_pytree, pytree, vectors
+from lieint_jax.types import Law, Rotation, argument, callable_pytree, pytree, set_fields, vectors
 from lieint_jax.types.shapes import PyTree
 from lieint_jax.types.vectors import cross, dot
 
@@ -73,11 +73,30 @@ class DirectionalPotential(Law):
 
 @pytree
 class GravityGradient(DirectionalPotential):
-    """V = (3μ/2r³) r̂·Jr̂ in the body along an orbit. Made by `gravity_gradient`."""
+    """The torque 3μ/r³ r̂ × Jr̂ of the gravity of a distant center on a body along an orbit; its work in closed form.
 
-    orbit: Any
-    mu: Array
-    inertia: Array
+    Args:
+        orbit: t ↦ (position, velocity) of the body's center from that of attraction, such as `orbits.kepler(…)`.
+        inertia: J of the body with everything in it, such as wheels at rest ("locked"), (3,) or (3, 3), in body axes.
+        mu: the gravitational parameter; by default `orbit.mu`.
+
+    Raises:
+        ValueError: an orbit that is no such function, bad inertia, no mu.
+
+    Source: Hughes 1986, Spacecraft Attitude Dynamics, 8.1; the mean torque of a step: this package.
+    """
+
+    orbit: Any = argument(converter=lambda orbit: callable_pytree(_checks.orbit(orbit)))
+    inertia: Array = argument(converter=partial(_checks.inertia, stacklevel=4))
+    mu: Array = argument(converter=named(_checks.real_array, "mu", (), optional=True), default=None)
+
+    def check_fields(self) -> None:
+        """Set mu where it is that of the orbit; ValueError if it has none."""
+        if self.mu is None:
+            mu = getattr(self.orbit, "mu", None)
+            if mu is None:
+                raise ValueError("this orbit has no mu: give gravity_gradient(orbit, inertia, mu=…)")
+            set_fields(self, mu=_checks.real_array("mu", mu, ()))
 
     def axis(self, t: Array) -> Array:
         """r̂ |√(3μ/r³)|: the direction of the body from the center, in a length that leaves V = ½ Γ·JΓ."""
@@ -95,27 +114,6 @@ class GravityGradient(DirectionalPotential):
 
     def _times(self, Gamma: Array) -> Array:
         return jnp.stack(vectors.symmetric(self.inertia) @ Gamma)
-
-
-def gravity_gradient(orbit: Any, inertia: ArrayLike, mu: ArrayLike | None = None) -> GravityGradient:
-    """The torque 3μ/r³ r̂ × Jr̂ of the gravity of a distant center on a body along an orbit; its work in closed form.
-
-    Args:
-        orbit: t ↦ (position, velocity) of the body's center from that of attraction, such as `orbits.kepler(…)`.
-        inertia: J of the body with everything in it, such as wheels at rest ("locked"), (3,) or (3, 3), in body axes.
-        mu: the gravitational parameter; by default `orbit.mu`.
-
-    Raises:
-        ValueError: an orbit that is no such function, bad inertia, no mu.
-
-    Source: Hughes 1986, Spacecraft Attitude Dynamics, 8.1; the mean torque of a step: this package.
-    """
-    if mu is None:
-        mu = getattr(orbit, "mu", None)
-        if mu is None:
-            raise ValueError("this orbit has no mu: give gravity_gradient(orbit, inertia, mu=…)")
-    _checks.function("orbit", lambda t: orbit(t)[0], "the time t, with (position, velocity)", (3,), jnp.zeros(()))
-    return GravityGradient(callable_pytree(orbit), _checks.real_array("mu", mu, ()), _checks.inertia(inertia))
 
 
 @pytree
@@ -181,4 +179,4 @@ def potential(V: Callable[..., Array], axis: Any) -> AnyPotential:
     return AnyPotential(callable_pytree(V), vector_of_time("axis", axis))
 
 
-dipole = Dipole
+dipole, gravity_gradient = Dipole, GravityGradient

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Callable
 from typing import Any
 
@@ -11,10 +12,10 @@ from jax import Array
 from numpy.typing import ArrayLike
 
 from lieint_jax import _checks
-from lieint_jax._checks import concrete, named, not_negative, positive
+from lieint_jax._checks import concrete, for_each, named, not_negative, positive, real_array
 from lieint_jax.torques._arguments import VectorOfTime, direction_at, direction_of_time, evaluate
 from lieint_jax.torques._body_axes import middle_axes
-from lieint_jax.types import Law, Rotation, argument, callable_pytree, pytree
+from lieint_jax.types import Law, Rotation, argument, callable_pytree, pytree, set_fields
 from lieint_jax.types.shapes import PyTree
 from lieint_jax.types.vectors import Vector, cross, dot, vector
 
@@ -53,7 +54,7 @@ class SolarPlate(Law):
 
     force: Array = argument(converter=named(not_negative, "force"))
     normal: Array = argument(converter=named(_checks.unit_vector, "normal"))
-    arm: Array = argument(converter=named(_checks.real_array, "arm", (3,)))
+    arm: Array = argument(converter=named(real_array, "arm", (3,)))
     sun: VectorOfTime = argument(converter=named(direction_of_time, "sun"))
     specular: Array = argument(converter=named(not_negative, "specular"), default=0.0, kw_only=True)
     diffuse: Array = argument(converter=named(not_negative, "diffuse"), default=0.0, kw_only=True)
@@ -72,69 +73,38 @@ class SolarPlate(Law):
         return jnp.stack(cross(self.arm, push)), inner
 
 
-@pytree
-class Plates:
-    """One-sided flat plates on the surface of a body; what is common to sunlight and air."""
+class Plates(Law):
+    """A law of the forces on one-sided flat plates on the surface of a body.
 
-    sizes: Array  # of the plates, (m,): areas, or forces at normal incidence
-    normals: Array  # outward unit vectors in the body, (m, 3)
-    arms: Array  # from the body's center of mass to the centers of the plates, (m, 3)
+    Attributes:
+        normals: outward unit vectors in the body, (m, 3).
+        arms: from the body's center of mass to the centers of the plates, (m, 3).
+    """
 
-    @property
-    def normal(self) -> Vector:
-        """The components of the normals, each (m,)."""
-        return vector(self.normals.T)
-
-    @property
-    def arm(self) -> Vector:
-        """The components of the arms, each (m,)."""
-        return vector(self.arms.T)
+    normals: Array
+    arms: Array
 
     def torque(self, forces: Vector) -> Array:
         """Σ r_j × F_j of the forces on the plates, given by their components (m,)."""
-        return jnp.stack([jnp.sum(x) for x in cross(self.arm, forces)])
+        return jnp.stack([jnp.sum(x) for x in cross(vector(self.arms.T), forces)])
+
+    def _each(self, name: str, sizes: Array) -> Array:
+        """The sizes of the plates, (m,); ValueError if one is negative, or shapes do not agree."""
+        if self.arms.ndim != 2 or self.arms.shape[1] != 3 or not len(self.arms):
+            raise ValueError(f"arms must have shape (m, 3), one for each plate, got {self.arms.shape}")
+        _checks.unit_vector("normals", self.normals, self.arms.shape)
+        return for_each(not_negative, name, sizes, len(self.arms))
 
 
-def _plates(name: str, sizes: ArrayLike, normals: ArrayLike, arms: ArrayLike) -> Plates:
-    r = _checks.real_array("arms", arms)
-    if r.ndim != 2 or r.shape[1] != 3 or not len(r):
-        raise ValueError(f"arms must have shape (m, 3), one for each plate, got {r.shape}")
-    m = len(r)
-    size = jnp.broadcast_to(not_negative(name, sizes, (), (m,)), (m,))
-    return Plates(size, _checks.unit_vector("normals", normals, (m, 3)), r)
+def _light(light: Callable[..., Array] | None) -> Callable[..., Array] | None:
+    if light is None:
+        return None
+    _checks.function("light", light, "the time t", (), jnp.zeros(()))
+    return callable_pytree(light)
 
 
 @pytree
-class SolarPlates(Law):
-    """The torque of sunlight on plates, in the body. Made by `solar_plates`."""
-
-    plates: Plates
-    sun: VectorOfTime
-    light: Callable[..., Array] | None
-    specular: Array
-    diffuse: Array
-
-    def mean(self, rotation: Rotation, inner: PyTree) -> tuple[Array, PyTree]:
-        """Σ r_j × F_j(Λᵀs) at the middle of the step."""
-        s, n = vector(middle_axes(rotation, direction_at(self.sun, rotation.t))), self.plates.normal
-        cosine = jnp.maximum(dot(n, s), 0)
-        lit = self.plates.sizes * cosine
-        if self.light is not None:
-            lit = lit * evaluate(self.light, rotation.t)
-        absorbed, outward = lit * (1 - self.specular), 2 * lit * (self.specular * cosine + self.diffuse / 3)
-        return self.plates.torque(-absorbed * s - outward * n), inner
-
-
-def solar_plates(
-    force: ArrayLike,
-    normals: ArrayLike,
-    arms: ArrayLike,
-    sun: Any,
-    *,
-    light: Any = None,
-    specular: ArrayLike = 0.0,
-    diffuse: ArrayLike = 0.0,
-) -> SolarPlates:
+class SolarPlates(Plates):
     """The pressure of sunlight on the outer surface of a satellite, as one-sided flat plates: T = Σ r_j × F_j with
 
         F_j = −f_j cos ϑ [(1 − ρ_s)s + 2(ρ_s cos ϑ + ρ_d/3)n_j],    cos ϑ = max(n_j·s, 0).
@@ -156,35 +126,42 @@ def solar_plates(
 
     Source: McInnes 1999, Solar Sailing, chapter 2; Montenbruck & Gill 2000, Satellite Orbits, 3.4.
     """
-    plates = _plates("force", force, normals, arms)
-    m = len(plates.sizes)
-    parts = [not_negative(name, x, (), (m,)) for name, x in (("specular", specular), ("diffuse", diffuse))]
-    _check_parts(*parts)
-    if light is not None:
-        _checks.function("light", light, "the time t", (), jnp.zeros(()))
-        light = callable_pytree(light)
-    return SolarPlates(plates, direction_of_time("sun", sun), light, *parts)
+
+    force: Array = argument(converter=named(real_array, "force"))
+    normals: Array = argument(converter=named(real_array, "normals"))
+    arms: Array = argument(converter=named(real_array, "arms"))
+    sun: VectorOfTime = argument(converter=named(direction_of_time, "sun"))
+    _: dataclasses.KW_ONLY
+    light: Callable[..., Array] | None = argument(converter=_light, default=None)
+    specular: Array = argument(converter=named(real_array, "specular"), default=0.0)
+    diffuse: Array = argument(converter=named(real_array, "diffuse"), default=0.0)
+
+    def check_fields(self) -> None:
+        """Raise ValueError if shapes disagree or more light is reflected than arrives; there is a force for each."""
+        set_fields(self, force=self._each("force", self.force))
+        for name, part in (("specular", self.specular), ("diffuse", self.diffuse)):
+            not_negative(name, part, (), self.force.shape)
+        _check_parts(self.specular, self.diffuse)
+
+    def mean(self, rotation: Rotation, inner: PyTree) -> tuple[Array, PyTree]:
+        """Σ r_j × F_j(Λᵀs) at the middle of the step."""
+        s, n = vector(middle_axes(rotation, direction_at(self.sun, rotation.t))), vector(self.normals.T)
+        cosine = jnp.maximum(dot(n, s), 0)
+        lit = self.force * cosine
+        if self.light is not None:
+            lit = lit * evaluate(self.light, rotation.t)
+        absorbed, outward = lit * (1 - self.specular), 2 * lit * (self.specular * cosine + self.diffuse / 3)
+        return self.torque(-absorbed * s - outward * n), inner
+
+
+def _air(air: Any) -> Any:
+    _checks.function("air", lambda t: air(t)[0], "the time t, with (density, velocity)", (), jnp.zeros(()))
+    _checks.function("air", lambda t: air(t)[1], "the time t, with (density, velocity)", (3,), jnp.zeros(()))
+    return callable_pytree(air)
 
 
 @pytree
-class Aerodynamic(Law):
-    """The torque of a thin atmosphere on plates, in the body. Made by `aerodynamic`."""
-
-    plates: Plates
-    air: Callable[[Array], tuple[Array, Array]]
-    drag: Array
-
-    def mean(self, rotation: Rotation, inner: PyTree) -> tuple[Array, PyTree]:
-        """Σ r_j × F_j at the middle of the step; each plate moves through the air by Ω̄ × r_j too."""
-        density, velocity = evaluate(self.air, rotation.t)
-        w = vector(middle_axes(rotation, velocity)) + cross(vector(rotation.Omega), self.plates.arm)
-        met = jnp.maximum(dot(self.plates.normal, w), 0) * self.plates.sizes
-        return self.plates.torque(-density / 2 * self.drag * met * w), inner
-
-
-def aerodynamic(
-    air: Any, areas: ArrayLike, normals: ArrayLike, arms: ArrayLike, *, drag: ArrayLike = 2.2
-) -> Aerodynamic:
+class Aerodynamic(Plates):
     """The drag of a thin atmosphere on the outer surface of a satellite, as one-sided flat plates: T = Σ r_j × F_j with
 
         F_j = −½ρ C_j A_j max(n_j·w_j, 0) w_j,    w_j = Λᵀv + Ω × r_j
@@ -206,10 +183,24 @@ def aerodynamic(
 
     Source: Wertz 1978, Spacecraft Attitude Determination and Control, 17.2.3, with one drag coefficient per plate.
     """
-    _checks.function("air", lambda t: air(t)[0], "the time t, with (density, velocity)", (), jnp.zeros(()))
-    _checks.function("air", lambda t: air(t)[1], "the time t, with (density, velocity)", (3,), jnp.zeros(()))
-    plates = _plates("areas", areas, normals, arms)
-    return Aerodynamic(plates, callable_pytree(air), not_negative("drag", drag, (), (len(plates.sizes),)))
+
+    air: Callable[[Array], tuple[Array, Array]] = argument(converter=_air)
+    areas: Array = argument(converter=named(real_array, "areas"))
+    normals: Array = argument(converter=named(real_array, "normals"))
+    arms: Array = argument(converter=named(real_array, "arms"))
+    drag: Array = argument(converter=named(real_array, "drag"), default=2.2, kw_only=True)
+
+    def check_fields(self) -> None:
+        """Raise ValueError if shapes disagree; there is an area for each plate."""
+        set_fields(self, areas=self._each("areas", self.areas))
+        not_negative("drag", self.drag, (), self.areas.shape)
+
+    def mean(self, rotation: Rotation, inner: PyTree) -> tuple[Array, PyTree]:
+        """Σ r_j × F_j at the middle of the step; each plate moves through the air by Ω̄ × r_j too."""
+        density, velocity = evaluate(self.air, rotation.t)
+        w = vector(middle_axes(rotation, velocity)) + cross(vector(rotation.Omega), vector(self.arms.T))
+        met = jnp.maximum(dot(vector(self.normals.T), w), 0) * self.areas
+        return self.torque(-density / 2 * self.drag * met * w), inner
 
 
 def box_plates(sizes: ArrayLike, center: ArrayLike = (0.0, 0.0, 0.0)) -> tuple[Array, Array, Array]:
@@ -223,7 +214,7 @@ def box_plates(sizes: ArrayLike, center: ArrayLike = (0.0, 0.0, 0.0)) -> tuple[A
         ValueError: sizes that are not positive, no vectors.
     """
     a = positive("sizes", sizes, (3,))
-    c = _checks.real_array("center", center, (3,), like=a)
+    c = real_array("center", center, (3,), like=a)
     normals = jnp.concatenate([jnp.eye(3, dtype=a.dtype), -jnp.eye(3, dtype=a.dtype)])
     areas = jnp.stack([a[1] * a[2], a[2] * a[0], a[0] * a[1]])
     return jnp.concatenate([areas, areas]), normals, c + normals * a / 2
@@ -234,4 +225,4 @@ def _check_parts(specular: Array, diffuse: Array) -> None:
         raise ValueError(f"specular + diffuse must be at most 1, got {np.asarray(specular)} + {np.asarray(diffuse)}")
 
 
-solar_plate = SolarPlate
+solar_plate, solar_plates, aerodynamic = SolarPlate, SolarPlates, Aerodynamic

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
+import copy
 import dataclasses
 from collections.abc import Callable
-from typing import Any
 
 import jax.numpy as jnp
 from jax import Array
@@ -12,34 +12,79 @@ from jax.tree_util import Partial
 from numpy.typing import ArrayLike
 
 from lieint_jax import _checks
-from lieint_jax._checks import concrete, positive
+from lieint_jax._checks import concrete, for_each, named, positive, real_array
 from lieint_jax.groups import so3
 from lieint_jax.torques._arguments import cut
 from lieint_jax.torques._hold import held_in_step, why_not
-from lieint_jax.types import Law, Rotation, callable_pytree, pytree
+from lieint_jax.types import Law, Rotation, argument, callable_pytree, pytree, set_fields
 from lieint_jax.types.shapes import PyTree
 from lieint_jax.types.vectors import cross
 
 __all__ = ["Wheels", "body_inertia", "wheels"]
 
 
+def wheel_axes(axes: ArrayLike) -> Array:
+    """Unit vectors (m, 3)."""
+    g = _checks.real_array("axes", axes)
+    if g.ndim != 2 or g.shape[1] != 3 or not len(g):
+        raise ValueError(f"axes must have shape (m, 3), one unit vector for each wheel, got {g.shape}")
+    return _checks.unit_vector("axes", g, g.shape)
+
+
 @pytree
 class Wheels(Law):
-    """Wheels symmetric about axes g_j that are fixed in the body; `State.extra["wheels"]` is h, (m,). Made by `wheels`.
+    """Wheels inside the body, free or driven by motors: the momentum of body and wheels is conserved to round-off.
 
-    h_j = I_j(σ_j + g_j·Ω) is the absolute axial momentum. A motor gives Δh_j to wheel j, and −Δh_j to the body. The
-    torques that a digital controller holds between samples are `State.extra["motors"]`, (m,).
+    **The body's `inertia` is then that without the wheels' axial parts**, J = J_locked − Σ I_j g_j g_jᵀ, which
+    `body_inertia` returns; gravity gradient needs J_locked. The momentum π of the state is ΛJΩ; the
+    absolute axial momenta h_j = I_j(σ_j + g_j·Ω) of the wheels are `State.extra["wheels"]`, (m,). The energy contains
+    Σ h_j²/2I_j, and the work Σ Δh_j σ̄_j of the motors is counted exactly for every motor law.
+
+    Args:
+        axes: g_j in the body, unit vectors, (m, 3).
+        inertias: I_j > 0 about the axes, a number or (m,).
+        motor: motor(t, q, Ω, h) ↦ the torques dh_j/dt on the wheels, (m,); the body gets the opposite. It is evaluated
+            in the middle of a step, at the mean of h; friction in the bearings is a part of it. None for free wheels.
+        max_torque: the motors' greatest torque, > 0, a number or (m,), or None.
+        max_momentum: the greatest |h_j|, > 0, a number or (m,), or None. A step that it cuts cannot be undone, so a
+            scheme with this law is not symmetric.
+        speeds: σ_j, the wheels' initial speeds relative to the body, a number or (m,), rad per unit of time.
+        period: of a digital controller, > 0: the motor is evaluated at t = 0, period, 2 period, …, at the state of that
+            moment, and its torques are held in between, as `State.extra["motors"]`, (m,). Steps are those that
+            `sampled` accepts. By default None, a motor without delay.
+
+    Raises:
+        ValueError: axes that are not of unit length, shapes that do not agree, numbers out of range, a motor that has
+            no such value.
+
+    Source: Hughes 1986, Spacecraft Attitude Dynamics, chapter 3 and 6; the mean torque of a step: this package.
     """
 
-    axes: Array
-    inertias: Array
-    motor: Callable[..., Array] | None
-    max_torque: Array | None
-    max_momentum: Array | None
-    speeds: Array
-    period: Array | None
+    axes: Array = argument(converter=wheel_axes)
+    inertias: Array = argument(converter=named(real_array, "inertias"))
+    motor: Callable[..., Array] | None = argument(
+        converter=lambda motor: None if motor is None else callable_pytree(motor), default=None
+    )
+    max_torque: Array | None = argument(converter=named(real_array, "max_torque", optional=True), default=None)
+    _: dataclasses.KW_ONLY
+    max_momentum: Array | None = argument(converter=named(real_array, "max_momentum", optional=True), default=None)
+    speeds: Array = argument(converter=named(real_array, "speeds"), default=0.0)
+    period: Array | None = argument(converter=named(positive, "period", optional=True), default=None)
     key = "wheels"
     internal = True
+
+    def check_fields(self) -> None:
+        """Raise ValueError if shapes do not agree; there are moments and speeds for each wheel."""
+        m = len(self.axes)
+        moments = for_each(positive, "inertias", self.inertias, m)
+        speeds = for_each(real_array, "speeds", self.speeds, m).astype(moments.dtype)
+        set_fields(self, inertias=moments, speeds=speeds)
+        for name, limit in (("max_torque", self.max_torque), ("max_momentum", self.max_momentum)):
+            if limit is not None:
+                positive(name, limit, (), (m,))
+        if self.motor is not None:
+            arguments = (jnp.zeros(()), jnp.asarray(so3.identity), jnp.zeros(3), jnp.zeros(m))
+            _checks.function("motor", self.motor, "t, q (4,), Omega (3,) and h (m,)", (m,), *arguments)
 
     @property
     def symmetric(self) -> bool:  # pyright: ignore[reportIncompatibleVariableOverride]
@@ -90,7 +135,7 @@ class Wheels(Law):
 
     def holding(self, held: Array) -> Wheels:
         """Wheels whose motors give the torques held."""
-        return dataclasses.replace(self, motor=Partial(_constant, held))
+        return set_fields(copy.copy(self), motor=Partial(_constant, held))
 
     def sample(self, now: Rotation, dt: Array, inner: PyTree, held: Array) -> tuple[Array, Array]:
         """The torques to hold in a step of dt from now, and whether no step of dt passes over a sample."""
@@ -119,66 +164,9 @@ class Wheels(Law):
         return jnp.where(moves, (after - h) / jnp.where(moves, rotation.dt, 1), at_once), after
 
 
-def wheels(
-    axes: ArrayLike,
-    inertias: ArrayLike,
-    motor: Callable[..., Any] | None = None,
-    max_torque: ArrayLike | None = None,
-    *,
-    max_momentum: ArrayLike | None = None,
-    speeds: ArrayLike = 0.0,
-    period: ArrayLike | None = None,
-) -> Wheels:
-    """Wheels inside the body, free or driven by motors: the momentum of body and wheels is conserved to round-off.
-
-    **The body's `inertia` is then that without the wheels' axial parts**, J = J_locked − Σ I_j g_j g_jᵀ, which
-    `body_inertia` returns; gravity gradient needs J_locked. The momentum π of the state is ΛJΩ; the
-    absolute axial momenta h_j = I_j(σ_j + g_j·Ω) of the wheels are `State.extra["wheels"]`, (m,). The energy contains
-    Σ h_j²/2I_j, and the work Σ Δh_j σ̄_j of the motors is counted exactly for every motor law.
-
-    Args:
-        axes: g_j in the body, unit vectors, (m, 3).
-        inertias: I_j > 0 about the axes, a number or (m,).
-        motor: motor(t, q, Ω, h) ↦ the torques dh_j/dt on the wheels, (m,); the body gets the opposite. It is evaluated
-            in the middle of a step, at the mean of h; friction in the bearings is a part of it. None for free wheels.
-        max_torque: the motors' greatest torque, > 0, a number or (m,), or None.
-        max_momentum: the greatest |h_j|, > 0, a number or (m,), or None. A step that it cuts cannot be undone, so a
-            scheme with this law is not symmetric.
-        speeds: σ_j, the wheels' initial speeds relative to the body, a number or (m,), rad per unit of time.
-        period: of a digital controller, > 0: the motor is evaluated at t = 0, period, 2 period, …, at the state of that
-            moment, and its torques are held in between, as `State.extra["motors"]`, (m,). Steps are those that
-            `sampled` accepts. By default None, a motor without delay.
-
-    Raises:
-        ValueError: axes that are not of unit length, shapes that do not agree, numbers out of range, a motor that has
-            no such value.
-
-    Source: Hughes 1986, Spacecraft Attitude Dynamics, chapter 3 and 6; the mean torque of a step: this package.
-    """
-    g = wheel_axes(axes)
-    m = g.shape[0]
-    moments = jnp.broadcast_to(positive("inertias", inertias, (), (m,)), (m,))
-    torque = None if max_torque is None else positive("max_torque", max_torque, (), (m,))
-    momentum = None if max_momentum is None else positive("max_momentum", max_momentum, (), (m,))
-    if motor is not None:
-        arguments = (jnp.zeros(()), jnp.asarray(so3.identity), jnp.zeros(3), jnp.zeros(m))
-        _checks.function("motor", motor, "t, q (4,), Omega (3,) and h (m,)", (m,), *arguments)
-        motor = callable_pytree(motor)
-    sigma = jnp.broadcast_to(_checks.real_array("speeds", speeds, (), (m,)), (m,)).astype(moments.dtype)
-    return Wheels(g, moments, motor, torque, momentum, sigma, None if period is None else positive("period", period))
-
-
 def _constant(held: Array, *_: Array) -> Array:
     """A motor that gives the torques held."""
     return held
-
-
-def wheel_axes(axes: ArrayLike) -> Array:
-    """Unit vectors (m, 3)."""
-    g = _checks.real_array("axes", axes)
-    if g.ndim != 2 or g.shape[1] != 3 or not len(g):
-        raise ValueError(f"axes must have shape (m, 3), one unit vector for each wheel, got {g.shape}")
-    return _checks.unit_vector("axes", g, g.shape)
 
 
 def body_inertia(locked: ArrayLike, axes: ArrayLike, inertias: ArrayLike) -> Array:
@@ -196,3 +184,6 @@ def body_inertia(locked: ArrayLike, axes: ArrayLike, inertias: ArrayLike) -> Arr
     J = jnp.diag(J) if J.ndim == 1 else J
     rest = J - jnp.einsum("j,ji,jk->ik", jnp.broadcast_to(jnp.asarray(inertias, J.dtype), g.shape[:1]), g, g)
     return _checks.inertia(rest) if concrete(rest) else rest
+
+
+wheels = Wheels

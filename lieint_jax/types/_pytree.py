@@ -11,14 +11,15 @@ import numpy as np
 
 from lieint_jax._checks import dtype_of, name_of
 
-__all__ = ["Partitioned", "argument", "callable_pytree", "pytree", "static"]
+__all__ = ["Partitioned", "argument", "callable_pytree", "pytree", "set_fields", "static"]
 
 _T = TypeVar("_T")
 
 
-def static(**options: Any) -> Any:
+def static(*, converter: Callable[[Any], Any] | None = None, **options: Any) -> Any:
     """A dataclass field that is part of a pytree's structure, not one of its leaves. Its value must be hashable."""
-    return dataclasses.field(metadata={"static": True}, **options)
+    converts = {} if converter is None else {"converter": converter}
+    return dataclasses.field(metadata={"static": True, **converts}, **options)
 
 
 def argument(*, converter: Callable[[Any], Any], **options: Any) -> Any:
@@ -65,6 +66,13 @@ def _convert(made: Any) -> None:
             object.__setattr__(made, x.name, x.metadata["converter"](getattr(made, x.name)))
     if hasattr(made, "check_fields"):
         made.check_fields()
+
+
+def set_fields(x: _T, **fields: object) -> _T:
+    """A frozen object with these fields as they are: one that `check_fields` completes, or a copy."""
+    for name, value in fields.items():
+        object.__setattr__(x, name, value)
+    return x
 
 
 def callable_pytree(function: Callable[..., Any]) -> Callable[..., Any]:

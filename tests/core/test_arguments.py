@@ -52,5 +52,10 @@ def test_the_name_that_is_called_is_the_class():
     law = torques.viscous([0.1, 0.2, 0.3])
     assert isinstance(law, torques.viscous)
     assert torques.viscous is torques.Viscous
+    names = ("aerodynamic", "gravity_gradient", "solar_plates", "wheel_motor", "wheels")
+    assert [getattr(torques, name).__name__.lower() for name in names] == [name.replace("_", "") for name in names]
+    assert (li.potentials.held, li.potentials.springs) == (li.potentials.Held, li.potentials.Springs)
+    assert (li.orbits.eclipse, li.orbits.from_state) == (li.orbits.Eclipse, li.orbits.KeplerFromState)
+    assert (li.orbits.atmosphere, li.tides.constant_lag) == (li.orbits.Air, li.tides.LaggingTides)
     assert li.torques.kane_damper(1.0, 0.5).label == "kane_damper"
     assert torques.hysteresis([1.0, 0, 0], 1.0, 1.0, 0.1, field=[0.0, 0, 1]).label == "hysteresis"

@@ -119,6 +119,44 @@ def test_names_that_earlier_versions_stored_are_found(stored, present):
     assert make({"name": stored}, {}, {}) is present
 
 
+def of_version_0_4(name, **fields):
+    """The description of an object as version 0.4 stored it."""
+    numbers = {key: {"constant": x, "dtype": "<f8"} for key, x in fields.items() if isinstance(x, float | list)}
+    return {"class": f"lieint_jax.{name}", "fields": fields | numbers}
+
+
+def test_fields_that_version_0_4_stored_are_found():
+    """They have other names now, or are in another object."""
+    position, velocity = [0.0, 2.0, 0.0], [-0.7, 0.0, 0.1]
+    kepler = of_version_0_4("orbits.KeplerFromState", mu=1.0, position=position, velocity=velocity, start=0.5)
+    air = of_version_0_4("orbits.Air", orbit=kepler, density=0.3, distance=1.9, scale_height=0.2, rate=0.06)
+    light = of_version_0_4("orbits.Eclipse", orbit=kepler, sun=[0.0, -1.0, 0.0], radius=1.0, angle=0.1, cylinder=True)
+    plates = of_version_0_4("torques.Plates", sizes=[2.0], normals=[[1.0, 0.0, 0.0]], arms=[[0.0, 1.0, 0.5]])
+    sail = {"plates": plates, "sun": [0.6, 0.8, 0.0], "light": None, "specular": 0.3, "diffuse": 0.1}
+    orbit = li.orbits.from_state(1.0, position, velocity, 0.5)
+    around = li.orbits.atmosphere(orbit, 0.3, 0.2, 0.9, radius=1.0, rate=0.06)
+    plate = [2.0], [[1.0, 0.0, 0.0]], [[0.0, 1.0, 0.5]]
+    instant = jnp.array(0.3), jnp.array([0.8, 0.0, 0.6, 0.0]), jnp.array([0.5, -0.2, 0.3])
+    for stored, present, arguments in (
+        (kepler, orbit, instant[:1]),
+        (air, around, instant[:1]),
+        (light, li.orbits.eclipse(orbit, [0.0, -1.0, 0.0], 1.0, "cylindrical", angle=0.1), instant[:1]),
+        (
+            of_version_0_4("torques.SolarPlates", **sail),
+            li.torques.solar_plates(*plate, [0.6, 0.8, 0.0], specular=0.3, diffuse=0.1),
+            instant,
+        ),
+        (
+            of_version_0_4("torques.Aerodynamic", plates=plates, air=air, drag=2.0),
+            li.torques.aerodynamic(around, *plate, drag=2.0),
+            instant,
+        ),
+    ):
+        again = make(stored, {}, {})
+        assert jax.tree.structure(again) == jax.tree.structure(present)
+        jax.tree.map(np.testing.assert_array_equal, again(*arguments), present(*arguments))
+
+
 @pytest.mark.parametrize(
     "name",
     ["os.system", "lieint_jax.nothing", "lieint_jax.app.command.cli.os.system", "lieint_jax.runs._storage.disk.shutil"],

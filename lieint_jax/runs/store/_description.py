@@ -61,7 +61,8 @@ def make(description: object, arrays: Mapping[str, object], own: Mapping[str, ob
     if not isinstance(description, Mapping):
         return description
     [(kind, value)] = list(description.items())[:1]
-    inner = {name: make(part, arrays, own, system) for name, part in description.get("fields", {}).items()}
+    parts = _present_fields(description.get("fields", {}))
+    inner = {name: make(part, arrays, own, system) for name, part in parts.items()}
     makers: dict[str, Callable[[], object]] = {
         "array": lambda: np.asarray(arrays[value]),
         "constant": lambda: np.array(value, description["dtype"]),
@@ -77,6 +78,20 @@ def make(description: object, arrays: Mapping[str, object], own: Mapping[str, ob
         "class": lambda: _instance(_find_object(value, own), inner),
     }
     return makers[kind]()
+
+
+def _present_fields(stored: Mapping[str, Any]) -> Mapping[str, Any]:
+    """The fields of a class, also by the names that they have since version 0.4."""
+    match stored:
+        case {"plates": {"fields": plates}, **rest}:  # of `torques.SolarPlates` and `Aerodynamic`
+            return {**rest, **plates, "force": plates["sizes"], "areas": plates["sizes"]}
+        case {"cylinder": bool(cylinder)}:  # of `orbits.Eclipse`
+            return {**stored, "shadow": "cylindrical" if cylinder else "conical"}
+        case {"scale_height": _, "distance": distance}:  # of `orbits.Air`
+            return {**stored, "height": distance, "radius": 0.0}
+        case {"velocity": _, "start": start}:  # of `orbits.KeplerFromState`
+            return {**stored, "t": start}
+    return stored
 
 
 def _describe(x: object, path: str, arrays: dict[str, np.ndarray] | None, system: object) -> object:
