@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import copy
 import dataclasses
-from collections.abc import Callable, Hashable, Iterable, Sequence
+from collections.abc import Callable, Hashable, Iterable, Mapping, Sequence
 from typing import Any, TypeVar, dataclass_transform
 
 import jax
@@ -11,14 +12,14 @@ import numpy as np
 
 from lieint_jax._checks import name_of
 
-__all__ = ["Partitioned", "argument", "callable_pytree", "pytree", "static"]
+__all__ = ["Partitioned", "argument", "callable_pytree", "pytree", "static", "with_fields"]
 
 _T = TypeVar("_T")
 
 
-def static(**options: Any) -> Any:
+def static(*, converter: Callable[[Any], Any] | None = None, **options: Any) -> Any:
     """A dataclass field that is part of a pytree's structure, not one of its leaves. Its value must be hashable."""
-    return dataclasses.field(metadata={"static": True}, **options)
+    return dataclasses.field(metadata={"static": True, "converter": converter}, **options)
 
 
 def argument(*, converter: Callable[[Any], Any], **options: Any) -> Any:
@@ -59,12 +60,27 @@ def pytree(cls: type[_T]) -> type[_T]:
 
 
 def _convert(made: Any) -> None:
-    """Convert the fields of a new object that have a converter; a method `check_fields` may then compare them."""
+    """Convert the fields of a new object that have a converter.
+
+    A method `check_fields` may then compare them, and return the values of fields that follow from others, by name.
+    """
     for x in dataclasses.fields(made):
-        if "converter" in x.metadata:
+        if x.metadata.get("converter") is not None:
             object.__setattr__(made, x.name, x.metadata["converter"](getattr(made, x.name)))
     if hasattr(made, "check_fields"):
-        made.check_fields()
+        _set_fields(made, made.check_fields() or {})
+
+
+def with_fields(made: _T, **values: Any) -> _T:
+    """A copy with other values of some fields, also of those that no constructor takes; nothing is converted."""
+    copied = copy.copy(made)
+    _set_fields(copied, values)
+    return copied
+
+
+def _set_fields(made: object, values: Mapping[str, object]) -> None:
+    for name, value in values.items():
+        object.__setattr__(made, name, value)
 
 
 def callable_pytree(function: Callable[..., Any]) -> Callable[..., Any]:
