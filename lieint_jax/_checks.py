@@ -13,7 +13,7 @@ import unicodedata
 import warnings
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from pathlib import Path
-from typing import Any, Protocol, runtime_checkable
+from typing import Any, Protocol, TypeVar, cast, runtime_checkable
 
 import jax
 import jax.numpy as jnp
@@ -27,6 +27,7 @@ try:
 except ImportError:  # another JAX
     take_current_trace = None
 
+_T = TypeVar("_T")
 Input = Any  # an argument as a user passes it: a number, a list, an array, a tracer, or something invalid
 
 
@@ -188,11 +189,17 @@ def not_negative(name: str, value: Input, *shapes: Sequence[int]) -> Array:
     return number
 
 
-def named(
-    check: Callable[..., Any], name: str, *shapes: Sequence[int], optional: bool = False
-) -> Callable[[Input], Any]:
-    """A check of one value, such as `positive` or `unit_vector`, as the converter of a field; it may leave None."""
-    return lambda value: None if optional and value is None else check(name, value, *shapes)
+def named(check: Callable[..., Any], name: str, *more: Any, optional: bool = False) -> Callable[[Input], Any]:
+    """A check of one value, such as `positive` or `count`, as the converter of a field; it may leave None.
+
+    `more` is what else the check takes: the allowed shapes, or the least count.
+    """
+    return lambda value: None if optional and value is None else check(name, value, *more)
+
+
+def optional(value: _T | None) -> _T:
+    """The converter of a field that may be given as None, which a method `check_fields` replaces: it does nothing."""
+    return cast("_T", value)
 
 
 def for_each(check: Callable[..., Array], name: str, value: Input, count: int) -> Array:

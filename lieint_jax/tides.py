@@ -22,7 +22,7 @@ from numpy.typing import ArrayLike
 
 from lieint_jax._checks import concrete, for_each, named, positive, real_array
 from lieint_jax.potentials import Potential
-from lieint_jax.types import PairLaw, argument, pytree, set_fields
+from lieint_jax.types import PairLaw, argument, pytree
 
 __all__ = [
     "LaggingTides",
@@ -158,12 +158,12 @@ class LaggingTides(PairLaw):
     lags: Array = argument(converter=named(real_array, "lags"))
     times: Array = argument(converter=named(real_array, "times", optional=True), default=None, kw_only=True)
 
-    def check_fields(self) -> None:
-        """Raise ValueError if shapes disagree or a number is out of range; there is a number for each body."""
+    def check_fields(self) -> dict[str, Array]:
+        """A number for each body; ValueError if shapes disagree or a number is out of range."""
         positive("radii", self.radii, self.masses.shape)
         k2, lags = (for_each(_not_negative, *x, self.count) for x in (("k2", self.k2), ("lags", self.lags)))
         times = jnp.zeros_like(lags) if self.times is None else for_each(_not_negative, "times", self.times, self.count)
-        set_fields(self, k2=k2, lags=lags, times=times)
+        return {"k2": k2, "lags": lags, "times": times}
 
     def __call__(self, r: Array, v: Array, omega_i: Array, omega_j: Array) -> tuple[Array, Array, Array]:
         """The tides of the first two bodies."""

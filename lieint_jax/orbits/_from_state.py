@@ -11,7 +11,7 @@ from jax.typing import ArrayLike
 from lieint_jax._checks import concrete, named, real_array
 from lieint_jax.orbits._anomaly import elliptic_anomaly, hyperbolic_anomaly, less_sine, sinh_less, slope
 from lieint_jax.orbits._kepler import Kepler
-from lieint_jax.types import argument, pytree, set_fields
+from lieint_jax.types import argument, pytree
 from lieint_jax.types.vectors import cross, dot, norm
 
 __all__ = ["KeplerFromState", "from_state"]
@@ -56,13 +56,13 @@ class KeplerFromState:
     velocity: Array = argument(converter=named(real_array, "velocity", (3,)))
     t: Array = argument(converter=named(real_array, "t", ()), default=0.0)
 
-    def check_fields(self) -> None:
-        """Raise ValueError if no ellipse or hyperbola passes there; all fields are of one dtype."""
+    def check_fields(self) -> dict[str, Array]:
+        """All fields in one dtype; ValueError if no ellipse or hyperbola passes there."""
         if concrete(self):
             _check(float(self.mu), np.asarray(self.position, float), np.asarray(self.velocity, float))
         given = {"mu": self.mu, "position": self.position, "velocity": self.velocity, "t": self.t}
         dtype = jnp.result_type(*given.values())
-        set_fields(self, **{name: x.astype(dtype) for name, x in given.items()})
+        return {name: x.astype(dtype) for name, x in given.items()}
 
     @property
     def start(self) -> Array:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import copy
 from collections.abc import Callable
 from typing import Any
 
@@ -14,7 +13,7 @@ from lieint_jax import _checks
 from lieint_jax._checks import concrete, named
 from lieint_jax.groups import so3
 from lieint_jax.potentials._potential import Potential
-from lieint_jax.types import argument, callable_pytree, pytree, set_fields
+from lieint_jax.types import argument, callable_pytree, pytree, with_fields
 from lieint_jax.types.shapes import PoseMomenta, Positions, Rotations, Scalar
 
 __all__ = ["Held", "held"]
@@ -92,7 +91,7 @@ class Held(Potential):
     def at(self, t: Any) -> Held:
         """The same with the poses at the time t, constant."""
         first, last = (end(t) if callable(end) else end for end in (self.first, self.last))
-        return set_fields(copy.copy(self), first=first, last=last)
+        return with_fields(self, first=first, last=last)
 
     def poses(self, t: Any) -> tuple[Array, Array]:
         """The positions (h, 3) and rotations (h, 3, 3) of the given bodies at the time t."""

@@ -10,7 +10,7 @@ from jax import Array
 
 from lieint_jax._checks import for_each, named, not_negative, real_array
 from lieint_jax.potentials._potential import Potential
-from lieint_jax.types import argument, pytree, set_fields, static
+from lieint_jax.types import argument, pytree, static
 from lieint_jax.types.shapes import Positions, Rotations, Scalar
 
 __all__ = ["Springs", "springs"]
@@ -49,12 +49,12 @@ class Springs(Potential):
     stiffness: Array = argument(converter=named(real_array, "stiffness"))
     lengths: Array = argument(converter=named(real_array, "lengths"), default=0.0)
 
-    def check_fields(self) -> None:
-        """Raise ValueError if shapes disagree; there is a number for each spring."""
+    def check_fields(self) -> dict[str, Array]:
+        """A stiffness and a length for each spring; ValueError if shapes disagree."""
         k = len(self.bodies)
         real_array("points", self.points, (k, 2, 3))
         stiffness = for_each(not_negative, "stiffness", self.stiffness, k)
-        set_fields(self, stiffness=stiffness, lengths=for_each(not_negative, "lengths", self.lengths, k))
+        return {"stiffness": stiffness, "lengths": for_each(not_negative, "lengths", self.lengths, k)}
 
     def invariants(self, x: Positions, R: Rotations) -> Array:
         """The squared length of each spring, (k,)."""

@@ -11,21 +11,22 @@ every later step costs as much as one of order 2.
 
 from __future__ import annotations
 
-import dataclasses
 import math
+from dataclasses import field
 from typing import NamedTuple, Self
 
 import jax.numpy as jnp
 from jax import Array, lax
 from jax.typing import ArrayLike
 
-from lieint_jax import _checks, _free_body
+from lieint_jax import _free_body
+from lieint_jax._checks import count, named
 from lieint_jax._xla import compiled
 from lieint_jax.capabilities import AbstractFreeBody
 from lieint_jax.groups import so3
 from lieint_jax.schemes._catalogue import SchemeProperties
 from lieint_jax.schemes._preprocessed import with_modified_inertia
-from lieint_jax.types import State, Step, StepInfo, pytree, static
+from lieint_jax.types import State, Step, StepInfo, argument, pytree, static, with_fields
 from lieint_jax.types.vectors import cross, dot, norm, symmetric
 
 __all__ = ["Calibrated", "calibrated"]
@@ -42,21 +43,58 @@ class Clock(NamedTuple):
     square: Array
 
 
+PROPERTIES = SchemeProperties(
+    name="calibrated",
+    systems="free bodies",
+    conserves=("energy", "momentum", "form"),
+    order=float("inf"),
+    limit="less than 90° a step",
+    aliases=("exact discrete Moser–Veselov",),
+    source="McLachlan & Zanna 2005",
+    accepts=(AbstractFreeBody,),
+)
+
+
 @pytree
 class Calibrated(Step):
-    """The step made by `calibrated`."""
+    """The symplectic step of a free rigid body with an inertia that makes it the exact flow, at any step size.
 
-    system: AbstractFreeBody
-    clock: Clock | None = None  # the constants from `prepare`
-    iterations: int | None = static(default=None)
-    order: float = static(default=math.inf)
-    symmetric: bool = static(default=True)
+    | conserved | to |
+    |---|---|
+    | energy, polhode | round-off |
+    | spatial momentum | bit for bit |
+    | the symplectic form | round-off, whether the constants are held fixed or computed for each state |
+
+    `integrate` and `run` call `prepare` once, and a step then costs as much as one of `so3_midpoint`. A direct
+    call without `prepare` computes the constants at every step. Prepared for one trajectory or step size and used
+    with another, it reports `converged=False`. Use `exact` for one large step, `calibrated` for many small ones.
+
+    Args:
+        system: `systems.rigid_body(...)`.
+        iterations: Newton corrections per step. 3, the default, reach round-off where a step rotates the body by up to
+            70°, 4 up to 80°, 5 to 86°, 6 to 89°; the branch ends at 90°. A step that does not converge reports
+            `converged=False`.
+
+    Attributes:
+        clock: the constants s and d, which `prepare` computes; None before.
+
+    Raises:
+        ValueError: not a free rigid body; bad iterations.
+
+    Source: McLachlan & Zanna 2005, Found. Comput. Math. 5 (that s and d exist); the closed form: this package.
+    """
+
+    system: AbstractFreeBody = argument(converter=PROPERTIES.check)
+    clock: Clock | None = field(default=None, init=False)
+    iterations: int | None = static(converter=named(count, "iterations", 1, optional=True), default=None)
+    order: float = static(default=math.inf, init=False)
+    symmetric: bool = static(default=True, init=False)
     commuting = True
 
     def with_constants(self, state: State, dt: ArrayLike) -> Self:
         found = _free_body.clock(self.system.inertia, so3.Ad_star(state.q, state.p), dt)
         clock = Clock(*found, jnp.asarray(dt, state.p.dtype), *self._invariants(state))
-        return dataclasses.replace(self, clock=clock)
+        return with_fields(self, clock=clock)
 
     def advance(self, state: State, dt: ArrayLike) -> tuple[State, StepInfo]:
         """One step. A prepared step requires a state of its trajectory and its dt; otherwise it prepares itself."""
@@ -101,49 +139,10 @@ def _prepared(step: Calibrated, state: State, dt: ArrayLike) -> Calibrated:
     return step.prepare(state, dt)
 
 
-def calibrated(system: AbstractFreeBody, iterations: int | None = None) -> Calibrated:
-    """The symplectic step of a free rigid body with an inertia that makes it the exact flow, at any step size.
-
-    | conserved | to |
-    |---|---|
-    | energy, polhode | round-off |
-    | spatial momentum | bit for bit |
-    | the symplectic form | round-off, whether the constants are held fixed or computed for each state |
-
-    `integrate` and `run` call `prepare` once, and a step then costs as much as one of `so3_midpoint`. A direct
-    call without `prepare` computes the constants at every step. Prepared for one trajectory or step size and used
-    with another, it reports `converged=False`. Use `exact` for one large step, `calibrated` for many small ones.
-
-    Args:
-        system: `systems.rigid_body(...)`.
-        iterations: Newton corrections per step. 3, the default, reach round-off where a step rotates the body by up to
-            70°, 4 up to 80°, 5 to 86°, 6 to 89°; the branch ends at 90°. A step that does not converge reports
-            `converged=False`.
-
-    Raises:
-        ValueError: not a free rigid body; bad iterations.
-
-    Source: McLachlan & Zanna 2005, Found. Comput. Math. 5 (that s and d exist); the closed form: this package.
-    """
-    PROPERTIES.check(system)
-    if iterations is not None:
-        iterations = _checks.count("iterations", iterations, 1)
-    return Calibrated(system, None, iterations)
-
-
-PROPERTIES = SchemeProperties(
-    name="calibrated",
-    systems="free bodies",
-    conserves=("energy", "momentum", "form"),
-    order=float("inf"),
-    limit="less than 90° a step",
-    aliases=("exact discrete Moser–Veselov",),
-    source="McLachlan & Zanna 2005",
-    accepts=(AbstractFreeBody,),
-)
-
-
 @PROPERTIES.by_name
 def examples(system: AbstractFreeBody) -> list[Step]:
     """The calibrated step, for free rigid bodies."""
     return [calibrated(system)]
+
+
+calibrated = Calibrated

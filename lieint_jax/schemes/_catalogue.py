@@ -5,7 +5,7 @@ from __future__ import annotations
 import functools
 import importlib
 from collections.abc import Callable, Sequence
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, TypeVar
 
 import jax
 import numpy as np
@@ -18,13 +18,14 @@ from lieint_jax.types import Catalogue, Step, System
 __all__ = ["Catalogue", "SchemeProperties", "catalogue"]
 
 _FEW = 3  # schemes that a message names
+_System = TypeVar("_System")
 
 
 class SchemeProperties(NamedTuple):
     """The declared properties of a scheme.
 
     Attributes:
-        name: the function in `schemes` that returns the step.
+        name: what makes the step, a class or a function in `schemes`.
         systems: the systems that it integrates.
         conserves: what is conserved to round-off, some of "energy", "energy less work", "momentum", "form" and
             "volume", with a condition in parentheses.
@@ -34,6 +35,7 @@ class SchemeProperties(NamedTuple):
         accepts: the capabilities whose equations it integrates.
         order: the order of accuracy of the default, infinite for the exact flow.
         symmetric: whether by default a step of −Δt is the inverse of one of Δt.
+        instead: the end of the message for a system that no scheme accepts.
     """
 
     name: str
@@ -45,6 +47,7 @@ class SchemeProperties(NamedTuple):
     accepts: tuple[type[Capability], ...] = ()
     order: float = 2
     symmetric: bool = True
+    instead: str = ""
 
     columns = ("scheme", "for", "conserves", "order")
 
@@ -60,25 +63,26 @@ class SchemeProperties(NamedTuple):
 
         return examples
 
-    def check(self, system: object, more: str = "") -> None:
-        """Raise ValueError unless a system has one of the accepted capabilities, and its equations of motion.
-
-        `more` is what the message adds if the capability is missing and no scheme has it.
-        """
+    def check(self, system: _System) -> _System:
+        """`system`; ValueError unless it has one of the accepted capabilities, and its equations of motion."""
         own = next((capability for capability in self.accepts if isinstance(system, capability)), None)
         if own is None:
             nouns = ", ".join(capability.noun for capability in self.accepts)
-            raise ValueError(f"{self.name} integrates {nouns}, got {type(system).__name__}{hint(system) or more}")
+            raise ValueError(
+                f"{self.name} integrates {nouns}, got {type(system).__name__}{hint(system) or self.instead}"
+            )
         if changed := own.overridden(system):  # pyright: ignore[reportArgumentType]
             raise ValueError(
                 f"{self.name} integrates {own.noun}, and {type(system).__name__}.{changed} overrides their equations "
                 "of motion: remove it, or use extrapolate, which integrates every vector_field"
             )
+        return system
 
     def check_drift(self, free: System, drift: Step) -> None:
         """Raise ValueError if a drift is not a symmetric step of the system `free`."""
         if not isinstance(drift, Step) or not drift.symmetric or drift.own_time:
-            raise ValueError(f"drift must be a symmetric step of system.free, got {getattr(drift, 'name', drift)!r}")
+            given = drift.name if isinstance(drift, Step) else drift
+            raise ValueError(f"drift must be a symmetric step of system.free, got {given!r}")
         if not _equal(free, drift.system):
             raise ValueError(
                 f"{self.name} with {drift.name}: the drift must be a step of system.free, a {type(free).__name__}, "

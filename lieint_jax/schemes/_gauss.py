@@ -21,7 +21,7 @@ import numpy as np
 from jax import Array, lax
 from jax.typing import ArrayLike
 
-from lieint_jax import _checks
+from lieint_jax._checks import count, named
 from lieint_jax._numerics import collocation
 from lieint_jax._numerics.equation import FixedPointEquation
 from lieint_jax.capabilities import (
@@ -36,7 +36,7 @@ from lieint_jax.capabilities import (
 )
 from lieint_jax.schemes._catalogue import SchemeProperties
 from lieint_jax.schemes.charts.canonical import CanonicalChart, Coordinates, Increments, canonical_chart
-from lieint_jax.types import State, Step, StepInfo, System, pytree, static
+from lieint_jax.types import State, Step, StepInfo, System, argument, pytree, static
 
 __all__ = ["Gauss", "gauss"]
 
@@ -44,41 +44,29 @@ _MOST = 100  # sweeps
 _NODES = 4  # of the guess of a step with more, and its sweeps: each gains an order
 _REFINEMENTS = 60  # sweeps of the linear equations for derivatives
 
+PROPERTIES = SchemeProperties(
+    name="gauss",
+    systems="free and elastic bodies, gyrostats, tops, satellites, several bodies",
+    conserves=("momentum", "form"),
+    order=16,
+    limit="about one radian of the fastest motion",
+    aliases=("Gauss–Legendre collocation",),
+    source="Hairer, Lubich & Wanner 2006, II.1.3, VI.4",
+    accepts=(
+        AbstractFreeBody,
+        AbstractGyrostat,
+        AbstractTop,
+        AbstractDrivenTop,
+        AbstractMechanicalSystem,
+        AbstractFreeBodies,
+        AbstractRigidBodies,
+        AbstractElasticBody,
+    ),
+)
+
 
 @pytree
 class Gauss(Step):
-    """The step made by `gauss`."""
-
-    system: System
-    stages: int = static()
-    sweeps: int | None = static()
-    order: float = static()
-    symmetric: bool = static(default=True)
-
-    @property
-    def approximate(self) -> bool:  # pyright: ignore[reportIncompatibleVariableOverride]
-        return self.sweeps is not None
-
-    @property
-    def name(self) -> str:
-        return f"gauss[{self.stages}]" if self.sweeps is None else f"gauss[{self.stages}, {self.sweeps} sweeps]"
-
-    def advance(self, state: State, dt: ArrayLike) -> tuple[State, StepInfo]:
-        dt = jnp.asarray(dt, state.p.dtype)
-        equation = _Equation.from_state(self, state, dt)
-        guess = equation.without_derivative().guess()
-        k, info = equation.solve(guess, _MOST, 4, _REFINEMENTS)
-        return equation.end(k), info
-
-    def advice(self, state: State, dt: ArrayLike) -> str:
-        limit = "its sweeps diverge" if self.sweeps is None else f"{self.sweeps} sweeps are too few"
-        return (
-            f"{self.name} does not converge at dt = {dt}: {limit}. Use a smaller dt: the fastest frequency of the "
-            "motion times dt should be at most 1"
-        )
-
-
-def gauss(system: System, stages: int = 8, sweeps: int | None = None) -> Gauss:
     """Gauss–Legendre collocation of order 2s, in canonical coordinates.
 
     | conserved | to |
@@ -103,11 +91,40 @@ def gauss(system: System, stages: int = 8, sweeps: int | None = None) -> Gauss:
     Source: Hairer, Lubich & Wanner, Geometric Numerical Integration, II.1.3, VI.4; Antoñana, Makazaga & Murua 2017,
     Numer. Algorithms 76.
     """
-    PROPERTIES.check(system)
-    if canonical_chart(system) is None:
-        raise ValueError(f"gauss has canonical coordinates on T*SO(3) only, not on those of {system.phase_space}")
-    s = _checks.count("stages", stages, 1)
-    return Gauss(system, s, None if sweeps is None else _checks.count("sweeps", sweeps, 1), 2.0 * s)
+
+    system: System = argument(converter=PROPERTIES.check)
+    stages: int = static(converter=named(count, "stages", 1), default=8)
+    sweeps: int | None = static(converter=named(count, "sweeps", 1, optional=True), default=None)
+    order: float = static(init=False)
+    symmetric: bool = static(default=True, init=False)
+
+    def check_fields(self) -> dict[str, float]:
+        if canonical_chart(self.system) is None:
+            space = self.system.phase_space
+            raise ValueError(f"gauss has canonical coordinates on T*SO(3) only, not on those of {space}")
+        return {"order": 2.0 * self.stages}
+
+    @property
+    def approximate(self) -> bool:  # pyright: ignore[reportIncompatibleVariableOverride]
+        return self.sweeps is not None
+
+    @property
+    def name(self) -> str:
+        return f"gauss[{self.stages}]" if self.sweeps is None else f"gauss[{self.stages}, {self.sweeps} sweeps]"
+
+    def advance(self, state: State, dt: ArrayLike) -> tuple[State, StepInfo]:
+        dt = jnp.asarray(dt, state.p.dtype)
+        equation = _Equation.from_state(self, state, dt)
+        guess = equation.without_derivative().guess()
+        k, info = equation.solve(guess, _MOST, 4, _REFINEMENTS)
+        return equation.end(k), info
+
+    def advice(self, state: State, dt: ArrayLike) -> str:
+        limit = "its sweeps diverge" if self.sweeps is None else f"{self.sweeps} sweeps are too few"
+        return (
+            f"{self.name} does not converge at dt = {dt}: {limit}. Use a smaller dt: the fastest frequency of the "
+            "motion times dt should be at most 1"
+        )
 
 
 @dataclass(frozen=True)
@@ -210,29 +227,11 @@ def _interpolate_nodes(k: Array, few: int, many: int) -> Array:
     return functools.reduce(jnp.add, columns)
 
 
-PROPERTIES = SchemeProperties(
-    name="gauss",
-    systems="free and elastic bodies, gyrostats, tops, satellites, several bodies",
-    conserves=("momentum", "form"),
-    order=16,
-    limit="about one radian of the fastest motion",
-    aliases=("Gauss–Legendre collocation",),
-    source="Hairer, Lubich & Wanner 2006, II.1.3, VI.4",
-    accepts=(
-        AbstractFreeBody,
-        AbstractGyrostat,
-        AbstractTop,
-        AbstractDrivenTop,
-        AbstractMechanicalSystem,
-        AbstractFreeBodies,
-        AbstractRigidBodies,
-        AbstractElasticBody,
-    ),
-)
-
-
 @PROPERTIES.by_name
 def examples(system: System) -> list[Step]:
     """Order 8, for all systems except elastic bodies: for stiff ones, sweeps do not reach round-off."""
     taken = canonical_chart(system) is not None and not isinstance(system, AbstractElasticBody)
     return [gauss(system, 4)] if taken else []
+
+
+gauss = Gauss

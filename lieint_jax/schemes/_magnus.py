@@ -22,23 +22,62 @@ from jax.typing import ArrayLike
 
 from lieint_jax._numerics import collocation
 from lieint_jax.capabilities import AbstractKinematics
+from lieint_jax.groups import MatrixGroup, so3
 from lieint_jax.schemes._catalogue import SchemeProperties
-from lieint_jax.types import AnalyticGroup, State, Step, StepInfo, clock, pytree, static
+from lieint_jax.types import AnalyticGroup, State, Step, StepInfo, argument, clock, pytree, static
 from lieint_jax.types.shapes import AlgebraVector, GroupElement
 
 __all__ = ["Magnus", "magnus"]
 
 _LARGEST = 0.5  # commutators over the rotation: with perpendicular rates, |ΔtΩ| = π
 
+PROPERTIES = SchemeProperties(
+    name="magnus",
+    systems="motions with given rates",
+    conserves=(),
+    order=4,
+    limit="|ΔtΩ| ≈ π",
+    aliases=("Magnus integrator", "exponential midpoint rule", "coning algorithm", "commutator-free CF4"),
+    source="Blanes, Casas & Ros 2000; Blanes & Moan 2006",
+    accepts=(AbstractKinematics,),
+)
+
 
 @pytree
 class Magnus(Step):
-    """The step made by `magnus`."""
+    """Magnus integrators: attitudes and propagators from given rates, on the group to round-off, and reversible.
 
-    system: AbstractKinematics
+    They evaluate the rate at 1, 2 or 3 Gauss nodes a step, solve no equation, and are exact for a rate with a constant
+    direction that is a polynomial of degree < order. `residual` is the part of commutators in the largest component of
+    the rotation vector of a step; above ½, where the series does not converge, `converged` is False.
+
+    On `groups.so3` steps are increments of the quaternion, which correct its length. On matrix groups the defect grows
+    by rounding.
+
+    With a log, `systems.sampled_rate`, choose dt as the interval of the log, or a part of it. A log of means is
+    integrated by order 2 without, and by order 4 with the coning correction; order 6 gains nothing there.
+
+    Args:
+        system: `systems.kinematics(group, rate)`.
+        order: 2 (the exponential midpoint rule), 4 or 6.
+        commutators: False selects the commutator-free method of order 4, a product of two exponentials.
+
+    Raises:
+        ValueError: not a motion with a given rate; another order; commutators=False with an order other than 4.
+
+    Source: Blanes, Casas & Ros, BIT 40 (2000) 434; Blanes & Moan, Appl. Numer. Math. 56 (2006) 1519, commutator-free.
+    """
+
+    system: AbstractKinematics = argument(converter=PROPERTIES.check)
     order: float = static(default=4)
-    commutators: bool = static(default=True)
-    symmetric: bool = static(default=True)
+    commutators: bool = static(converter=bool, default=True, kw_only=True)
+    symmetric: bool = static(default=True, init=False)
+
+    def check_fields(self) -> None:
+        if self.order not in (2, 4, 6) or isinstance(self.order, bool):
+            raise ValueError(f"order must be 2, 4 or 6, got {self.order!r}")
+        if not self.commutators and self.order != 4:
+            raise ValueError(f"commutators=False is of order 4, got order {self.order}")
 
     @property
     def name(self) -> str:
@@ -76,9 +115,10 @@ class Magnus(Step):
     def _multiply_exp(self, q: GroupElement, theta: AlgebraVector) -> GroupElement:
         """q exp θ in the body, exp θ q in space."""
         group, left = self.system.group, self.system.frame == "space"
-        increment = getattr(group, "exp_increment", None)
-        if increment is not None:  # which corrects the length of q
-            return increment(q, theta, left)
+        if group is so3:
+            return so3.exp_increment(q, theta, left)  # which corrects the length of q
+        if isinstance(group, MatrixGroup):
+            return group.exp_increment(q, theta, left)
         turn = group.exp(theta)
         return group.multiply(turn, q) if left else group.multiply(q, turn)
 
@@ -106,50 +146,10 @@ def _sixth(bracket: Bracket, a: Array, b: Array, c: Array) -> tuple[Array, Array
     return b + third / 12, bracket(-20 * b - third + once, second + twice) / 240
 
 
-def magnus(system: AbstractKinematics, order: int = 4, *, commutators: bool = True) -> Magnus:
-    """Magnus integrators: attitudes and propagators from given rates, on the group to round-off, and reversible.
-
-    They evaluate the rate at 1, 2 or 3 Gauss nodes a step, solve no equation, and are exact for a rate with a constant
-    direction that is a polynomial of degree < order. `residual` is the part of commutators in the largest component of
-    the rotation vector of a step; above ½, where the series does not converge, `converged` is False.
-
-    On `groups.so3` steps are increments of the quaternion, which correct its length. On matrix groups the defect grows
-    by rounding.
-
-    With a log, `systems.sampled_rate`, choose dt as the interval of the log, or a part of it. A log of means is
-    integrated by order 2 without, and by order 4 with the coning correction; order 6 gains nothing there.
-
-    Args:
-        system: `systems.kinematics(group, rate)`.
-        order: 2 (the exponential midpoint rule), 4 or 6.
-        commutators: False selects the commutator-free method of order 4, a product of two exponentials.
-
-    Raises:
-        ValueError: not a motion with a given rate; another order; commutators=False with an order other than 4.
-
-    Source: Blanes, Casas & Ros, BIT 40 (2000) 434; Blanes & Moan, Appl. Numer. Math. 56 (2006) 1519, commutator-free.
-    """
-    PROPERTIES.check(system)
-    if order not in (2, 4, 6) or isinstance(order, bool):
-        raise ValueError(f"order must be 2, 4 or 6, got {order!r}")
-    if not commutators and order != 4:
-        raise ValueError(f"commutators=False is of order 4, got order {order}")
-    return Magnus(system, order, bool(commutators))
-
-
-PROPERTIES = SchemeProperties(
-    name="magnus",
-    systems="motions with given rates",
-    conserves=(),
-    order=4,
-    limit="|ΔtΩ| ≈ π",
-    aliases=("Magnus integrator", "exponential midpoint rule", "coning algorithm", "commutator-free CF4"),
-    source="Blanes, Casas & Ros 2000; Blanes & Moan 2006",
-    accepts=(AbstractKinematics,),
-)
-
-
 @PROPERTIES.by_name
 def examples(system: AbstractKinematics) -> list[Step]:
     """All orders, and the commutator-free method."""
     return [*(magnus(system, order) for order in (2, 4, 6)), magnus(system, commutators=False)]
+
+
+magnus = Magnus

@@ -18,15 +18,12 @@ the vector form of `so3_midpoint` if α = ½.
 
 from __future__ import annotations
 
-from collections.abc import Callable
-
 import jax
 import jax.numpy as jnp
 from jax import Array, lax
 from jax.typing import ArrayLike
 
-from lieint_jax import _checks
-from lieint_jax._checks import concrete
+from lieint_jax._checks import concrete, count, fraction, named
 from lieint_jax._numerics import newton
 from lieint_jax.capabilities import AbstractEmbeddedBody
 from lieint_jax.maps import Kappa, as_kappa, kappa_cayley
@@ -38,7 +35,7 @@ from lieint_jax.schemes._shared.half_rotation import (
     gyroscopic,
     on_branch,
 )
-from lieint_jax.types import State, Step, StepInfo, pytree, static
+from lieint_jax.types import State, Step, StepInfo, argument, pytree, static
 from lieint_jax.types.vectors import (
     Matrix,
     Symmetric,
@@ -56,45 +53,20 @@ from lieint_jax.types.vectors import (
 
 __all__ = ["SO3Alpha", "so3_alpha"]
 
+PROPERTIES = SchemeProperties(
+    name="so3_alpha",
+    systems="free bodies whose attitude is a matrix",
+    conserves=("momentum", "energy"),
+    limit="|ΔtΩ| of 2 to 4",
+    aliases=("α-family in L(3)",),
+    source="Lewis & Simo 1994, (2.14) to (2.23), Results 1 and 2",
+    accepts=(AbstractEmbeddedBody,),
+    instead="; for a body that stays on SO(3), which α = 1/2 does, use so3_midpoint",
+)
+
 
 @pytree
 class SO3Alpha(Step):
-    """The step made by `so3_alpha`."""
-
-    system: AbstractEmbeddedBody
-    alpha: Array
-    kappa: Kappa
-    iterations: int = static()
-    order: float = static(default=2)
-    symmetric: bool = static(default=True)
-
-    @property
-    def name(self) -> str:
-        return f"so3_alpha[{self.kappa.name}]"
-
-    def advance(self, state: State, dt: ArrayLike) -> tuple[State, StepInfo]:
-        J, r = unit_trace(self.system.inertia)
-        a = 0.5 * r * dt * matrix(state.q).solve(state.p)
-        y, residual, good = _solve(self.kappa, self.alpha, J, a, self.iterations)
-        Theta = 2 * self.kappa(4 * dot(y, y)) * y
-        info = StepInfo.of_root(norm(residual), good & J.well_conditioned & _digits_left(state), max_abs(a))
-        return state._replace(q=_rotated_attitude(state.q, self.alpha, Theta)), info
-
-    def advice(self, state: State, dt: ArrayLike) -> str:
-        if not symmetric(self.system.inertia).well_conditioned:
-            return f"{self.name}: {SLENDER}"
-        return (
-            f"{self.name} does not converge at dt = {dt}: use a smaller dt or more than {self.iterations} iterations. "
-            "If Λ is far from SO(3), as after many steps with α ≠ 1/2, no digits of Π = Λ⁻¹π are left"
-        )
-
-
-def so3_alpha(
-    system: AbstractEmbeddedBody,
-    alpha: ArrayLike = 0.5,
-    kappa: Kappa | Callable[[Array], Array] = kappa_cayley,
-    iterations: int = ITERATIONS["vector"],
-) -> SO3Alpha:
     """The α-family (2.17) with (2.28) for a free rigid body whose attitude may leave SO(3).
 
     | | α = ½ | another α |
@@ -126,22 +98,37 @@ def so3_alpha(
 
     Source: Lewis & Simo 1994, (2.14)–(2.22), Results 1 and 2; T_α and ν corrected.
     """
-    PROPERTIES.check(system, "; for a body that stays on SO(3), which α = 1/2 does, use so3_midpoint")
-    alpha = _checks.fraction("alpha", alpha)
-    middle = not concrete(alpha) or float(alpha) == 0.5
-    iterations = _checks.count("iterations", iterations, 1)
-    return SO3Alpha(system, alpha, as_kappa(kappa), iterations, 2 if middle else 1, middle)
 
+    system: AbstractEmbeddedBody = argument(converter=PROPERTIES.check)
+    alpha: Array = argument(converter=named(fraction, "alpha"), default=0.5)
+    kappa: Kappa = argument(converter=as_kappa, default=kappa_cayley)
+    iterations: int = static(converter=named(count, "iterations", 1), default=ITERATIONS["vector"])
+    order: float = static(init=False)
+    symmetric: bool = static(init=False)
 
-PROPERTIES = SchemeProperties(
-    name="so3_alpha",
-    systems="free bodies whose attitude is a matrix",
-    conserves=("momentum", "energy"),
-    limit="|ΔtΩ| of 2 to 4",
-    aliases=("α-family in L(3)",),
-    source="Lewis & Simo 1994, (2.14) to (2.23), Results 1 and 2",
-    accepts=(AbstractEmbeddedBody,),
-)
+    def check_fields(self) -> dict[str, float]:
+        middle = not concrete(self.alpha) or float(self.alpha) == 0.5
+        return {"order": 2 if middle else 1, "symmetric": middle}
+
+    @property
+    def name(self) -> str:
+        return f"so3_alpha[{self.kappa.name}]"
+
+    def advance(self, state: State, dt: ArrayLike) -> tuple[State, StepInfo]:
+        J, r = unit_trace(self.system.inertia)
+        a = 0.5 * r * dt * matrix(state.q).solve(state.p)
+        y, residual, good = _solve(self.kappa, self.alpha, J, a, self.iterations)
+        Theta = 2 * self.kappa(4 * dot(y, y)) * y
+        info = StepInfo.of_root(norm(residual), good & J.well_conditioned & _digits_left(state), max_abs(a))
+        return state._replace(q=_rotated_attitude(state.q, self.alpha, Theta)), info
+
+    def advice(self, state: State, dt: ArrayLike) -> str:
+        if not symmetric(self.system.inertia).well_conditioned:
+            return f"{self.name}: {SLENDER}"
+        return (
+            f"{self.name} does not converge at dt = {dt}: use a smaller dt or more than {self.iterations} iterations. "
+            "If Λ is far from SO(3), as after many steps with α ≠ 1/2, no digits of Π = Λ⁻¹π are left"
+        )
 
 
 @PROPERTIES.by_name
@@ -191,3 +178,6 @@ def _digits_left(state: State) -> Array:
     A = matrix(q)
     condition = max_abs(*A.cofactors) * max_abs(*A) / jnp.abs(A.det())
     return eps * condition <= attitude_error_limit(q.dtype)
+
+
+so3_alpha = SO3Alpha

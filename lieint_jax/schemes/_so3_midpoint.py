@@ -25,15 +25,12 @@ and from Π_{n+1} = cay(Θ)ᵀΠ_n, with cay(Θ)Θ̄ = Θ̄, follows H_{n+1} −
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import replace
-
 import jax.numpy as jnp
 import numpy as np
 from jax import Array, lax
 from jax.typing import ArrayLike
 
-from lieint_jax import _checks
+from lieint_jax._checks import count, named
 from lieint_jax.capabilities import AbstractDrivenGyrostat, AbstractFreeBody, AbstractFreeBodyInTime, AbstractGyrostat
 from lieint_jax.groups import so3
 from lieint_jax.maps import KAPPAS, Kappa, as_kappa, kappa_symplectic
@@ -47,98 +44,24 @@ from lieint_jax.schemes._shared.half_rotation import (
     scaled,
 )
 from lieint_jax.schemes._shared.inertia_in_time import advice_in_time, step_in_time
-from lieint_jax.types import State, Step, StepInfo, clock, pytree, static
+from lieint_jax.types import State, Step, StepInfo, argument, clock, pytree, static, with_fields
 from lieint_jax.types.vectors import cross, dot, symmetric, vector
 
 __all__ = ["SO3Midpoint", "so3_midpoint"]
 
+PROPERTIES = SchemeProperties(
+    name="so3_midpoint",
+    systems="free bodies, also with J(t), gyrostats",
+    conserves=("energy", "momentum", "form (symplectic κ, free body)"),
+    limit="|ΔtΩ| ≈ 1 for the symplectic κ, 2 to 4 for others",
+    aliases=("discrete Moser–Veselov (symplectic κ)", "RATTLE (symplectic κ)"),
+    source="Lewis & Simo 1994, (2.24), (2.28), Results 1 to 5",
+    accepts=(AbstractFreeBody, AbstractGyrostat, AbstractDrivenGyrostat, AbstractFreeBodyInTime),
+)
+
 
 @pytree
 class SO3Midpoint(Step):
-    """The step made by `so3_midpoint`."""
-
-    system: AbstractFreeBody | AbstractFreeBodyInTime | AbstractGyrostat | AbstractDrivenGyrostat
-    kappa: Kappa
-    iterations: int = static()
-    order: float = static(default=2)
-    symmetric: bool = static(default=True)
-
-    @property
-    def commuting(self) -> bool:  # pyright: ignore[reportIncompatibleVariableOverride]
-        return self.kappa.symplectic and isinstance(self.system, AbstractFreeBody)
-
-    @property
-    def name(self) -> str:
-        return f"so3_midpoint[{self.kappa.name}]"
-
-    def advance(self, state: State, dt: ArrayLike) -> tuple[State, StepInfo]:
-        if isinstance(self.system, AbstractFreeBodyInTime):
-            return step_in_time(self.system, state, dt, lambda body, z: replace(self, system=body).advance(z, dt))
-        if isinstance(self.system, AbstractDrivenGyrostat):
-            return self._driven_step(self.system, state, jnp.asarray(dt))
-        J, a = scaled(self.system, state, dt)
-        h, info = half_rotation(J, a, self.kappa, self.iterations, bias(self.system, dt))
-        return state._replace(q=so3.cayley_increment(state.q, h)), info
-
-    def advance_tangents(self, state: State, dt: ArrayLike, T: Array) -> tuple[State, StepInfo, Array]:
-        body = self.system
-        if self.kappa.solve_by != "scalar" or not isinstance(body, AbstractFreeBody):
-            return super().advance_tangents(state, dt, T)
-        J, a = scaled(body, state, dt)
-        h, info = half_rotation(J, a, self.kappa, self.iterations)
-
-        def propagate(tangent: Array) -> Array:
-            theta, p = vector(tangent[:3]), vector(tangent[3:]) - cross(tangent[:3], state.p)
-            da = scaled(body, state._replace(p=jnp.stack(p)), dt)[1]
-            dh = half_rotation_derivative(J, a, h, da)
-            return jnp.stack([*(theta + so3.Ad(state.q, dh)), *tangent[3:]])
-
-        T = lax.map(propagate, T.T).T  # vmap would take 1.4 times as long
-        return state._replace(q=so3.cayley_increment(state.q, h)), info, T
-
-    def _driven_step(self, system: AbstractDrivenGyrostat, state: State, dt: Array) -> tuple[State, StepInfo]:
-        """The step of the gyrostat with the mean rotor momentum h̄_r, with the change of h_r and the motor's work."""
-        rotor, change = system.rotor(state), dt * system.torque(clock(state) + 0.5 * dt)
-        mean = rotor + 0.5 * change
-        end, info = replace(self, system=system.with_rotor(mean))(state, dt)
-        end = end._replace(extra=(state.extra or {}) | {"rotor": rotor + change})
-        if state.work is None:
-            return end, info
-        own = 0.5 * (so3.Ad_star(state.q, state.p) + so3.Ad_star(end.q, end.p)) - mean  # JΩ̄
-        Omega = symmetric(system.inertia).solve(own)
-        return end._replace(work=state.work - dot(Omega, change)), info
-
-    def advice(self, state: State, dt: ArrayLike) -> str:
-        return self.advice_to(self.name, state, dt, f", or more iterations than {self.iterations}")
-
-    def advice_to(self, name: str, state: State, dt: ArrayLike, iterations: str = "") -> str:
-        """The advice to a step of this name with the same equation; `iterations` is what helps Newton's method."""
-        system = self.system
-        if isinstance(system, AbstractFreeBodyInTime):
-            if wrong := advice_in_time(system, state, dt):
-                return wrong
-            system = system.frozen(clock(state) + jnp.asarray(dt) / 2)
-        J = np.asarray(system.inertia)
-        rotor = system.rotor if isinstance(system, AbstractGyrostat) else 0.0  # h_r
-        rotor = system.rotor(state) if isinstance(system, AbstractDrivenGyrostat) else rotor
-        own = np.asarray(so3.Ad_star(state.q, state.p) - rotor)
-        turn = float(np.abs(dt) * np.linalg.norm(own / J if J.ndim == 1 else np.linalg.solve(J, own)))
-        more = iterations if turn < 1 else ""  # beyond, Newton may fail to converge
-        rod = self.kappa.solve_by == "scalar" and turn < 0.9 * self.kappa.limit
-        more += ", or for a slender body the vector form (see so3_midpoint)" if rod else ""
-        if not symmetric(system.inertia).well_conditioned:
-            return f"{name}: {SLENDER}"
-        return (
-            f"{name} does not converge: |Δt Ω| = {turn:.3g} at dt = {dt}, the rotation in a step, rad; the branch "
-            f"of this κ {self.kappa.branch}. Use a smaller dt{more}"
-        )
-
-
-def so3_midpoint(
-    system: AbstractFreeBody | AbstractFreeBodyInTime | AbstractGyrostat | AbstractDrivenGyrostat,
-    kappa: Kappa | Callable[[Array], Array] = kappa_symplectic,
-    iterations: int | None = None,
-) -> SO3Midpoint:
     """Energy–momentum schemes of a free body or a gyrostat; with the symplectic κ, discrete Moser–Veselov (RATTLE).
 
     They are (2.24) with (2.28), which is (3.3), for any scaling κ.
@@ -183,23 +106,89 @@ def so3_midpoint(
 
     Source: Lewis & Simo 1994, Results 1–5; scalar form and quaternion increments: this package.
     """
-    PROPERTIES.check(system)
-    kappa = as_kappa(kappa)
-    if iterations is None:
-        free = isinstance(system, AbstractFreeBody | AbstractFreeBodyInTime)
-        iterations = ITERATIONS[kappa.solve_by if free else "vector"]
-    return SO3Midpoint(system, kappa, _checks.count("iterations", iterations, 1))
 
+    system: AbstractFreeBody | AbstractFreeBodyInTime | AbstractGyrostat | AbstractDrivenGyrostat = argument(
+        converter=PROPERTIES.check
+    )
+    kappa: Kappa = argument(converter=as_kappa, default=kappa_symplectic)
+    iterations: int = static(converter=named(count, "iterations", 1, optional=True), default=None)
+    order: float = static(default=2, init=False)
+    symmetric: bool = static(default=True, init=False)
 
-PROPERTIES = SchemeProperties(
-    name="so3_midpoint",
-    systems="free bodies, also with J(t), gyrostats",
-    conserves=("energy", "momentum", "form (symplectic κ, free body)"),
-    limit="|ΔtΩ| ≈ 1 for the symplectic κ, 2 to 4 for others",
-    aliases=("discrete Moser–Veselov (symplectic κ)", "RATTLE (symplectic κ)"),
-    source="Lewis & Simo 1994, (2.24), (2.28), Results 1 to 5",
-    accepts=(AbstractFreeBody, AbstractGyrostat, AbstractDrivenGyrostat, AbstractFreeBodyInTime),
-)
+    def check_fields(self) -> dict[str, int]:
+        free = isinstance(self.system, AbstractFreeBody | AbstractFreeBodyInTime)
+        default = ITERATIONS[self.kappa.solve_by if free else "vector"]
+        return {"iterations": default if self.iterations is None else self.iterations}
+
+    @property
+    def commuting(self) -> bool:  # pyright: ignore[reportIncompatibleVariableOverride]
+        return self.kappa.symplectic and isinstance(self.system, AbstractFreeBody)
+
+    @property
+    def name(self) -> str:
+        return f"so3_midpoint[{self.kappa.name}]"
+
+    def advance(self, state: State, dt: ArrayLike) -> tuple[State, StepInfo]:
+        if isinstance(self.system, AbstractFreeBodyInTime):
+            return step_in_time(self.system, state, dt, lambda body, z: with_fields(self, system=body).advance(z, dt))
+        if isinstance(self.system, AbstractDrivenGyrostat):
+            return self._driven_step(self.system, state, jnp.asarray(dt))
+        J, a = scaled(self.system, state, dt)
+        h, info = half_rotation(J, a, self.kappa, self.iterations, bias(self.system, dt))
+        return state._replace(q=so3.cayley_increment(state.q, h)), info
+
+    def advance_tangents(self, state: State, dt: ArrayLike, T: Array) -> tuple[State, StepInfo, Array]:
+        body = self.system
+        if self.kappa.solve_by != "scalar" or not isinstance(body, AbstractFreeBody):
+            return super().advance_tangents(state, dt, T)
+        J, a = scaled(body, state, dt)
+        h, info = half_rotation(J, a, self.kappa, self.iterations)
+
+        def propagate(tangent: Array) -> Array:
+            theta, p = vector(tangent[:3]), vector(tangent[3:]) - cross(tangent[:3], state.p)
+            da = scaled(body, state._replace(p=jnp.stack(p)), dt)[1]
+            dh = half_rotation_derivative(J, a, h, da)
+            return jnp.stack([*(theta + so3.Ad(state.q, dh)), *tangent[3:]])
+
+        T = lax.map(propagate, T.T).T  # vmap would take 1.4 times as long
+        return state._replace(q=so3.cayley_increment(state.q, h)), info, T
+
+    def _driven_step(self, system: AbstractDrivenGyrostat, state: State, dt: Array) -> tuple[State, StepInfo]:
+        """The step of the gyrostat with the mean rotor momentum h̄_r, with the change of h_r and the motor's work."""
+        rotor, change = system.rotor(state), dt * system.torque(clock(state) + 0.5 * dt)
+        mean = rotor + 0.5 * change
+        end, info = with_fields(self, system=system.with_rotor(mean))(state, dt)
+        end = end._replace(extra=(state.extra or {}) | {"rotor": rotor + change})
+        if state.work is None:
+            return end, info
+        own = 0.5 * (so3.Ad_star(state.q, state.p) + so3.Ad_star(end.q, end.p)) - mean  # JΩ̄
+        Omega = symmetric(system.inertia).solve(own)
+        return end._replace(work=state.work - dot(Omega, change)), info
+
+    def advice(self, state: State, dt: ArrayLike) -> str:
+        return self.advice_to(self.name, state, dt, f", or more iterations than {self.iterations}")
+
+    def advice_to(self, name: str, state: State, dt: ArrayLike, iterations: str = "") -> str:
+        """The advice to a step of this name with the same equation; `iterations` is what helps Newton's method."""
+        system = self.system
+        if isinstance(system, AbstractFreeBodyInTime):
+            if wrong := advice_in_time(system, state, dt):
+                return wrong
+            system = system.frozen(clock(state) + jnp.asarray(dt) / 2)
+        J = np.asarray(system.inertia)
+        rotor = system.rotor if isinstance(system, AbstractGyrostat) else 0.0  # h_r
+        rotor = system.rotor(state) if isinstance(system, AbstractDrivenGyrostat) else rotor
+        own = np.asarray(so3.Ad_star(state.q, state.p) - rotor)
+        turn = float(np.abs(dt) * np.linalg.norm(own / J if J.ndim == 1 else np.linalg.solve(J, own)))
+        more = iterations if turn < 1 else ""  # beyond, Newton may fail to converge
+        rod = self.kappa.solve_by == "scalar" and turn < 0.9 * self.kappa.limit
+        more += ", or for a slender body the vector form (see so3_midpoint)" if rod else ""
+        if not symmetric(system.inertia).well_conditioned:
+            return f"{name}: {SLENDER}"
+        return (
+            f"{name} does not converge: |Δt Ω| = {turn:.3g} at dt = {dt}, the rotation in a step, rad; the branch "
+            f"of this κ {self.kappa.branch}. Use a smaller dt{more}"
+        )
 
 
 @PROPERTIES.by_name
@@ -208,3 +197,6 @@ def examples(
 ) -> list[Step]:
     """The paper's three κ's, for free rigid bodies and gyrostats."""
     return [so3_midpoint(system, kappa) for kappa in KAPPAS]
+
+
+so3_midpoint = SO3Midpoint

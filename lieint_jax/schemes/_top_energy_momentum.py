@@ -27,14 +27,14 @@ import numpy as np
 from jax import Array, lax
 from jax.typing import ArrayLike
 
-from lieint_jax import _checks
+from lieint_jax._checks import count, named
 from lieint_jax._numerics.equation import ImplicitEquation
 from lieint_jax.capabilities import AbstractDrivenTop, AbstractTop, discrete_gradient
 from lieint_jax.groups import so3
 from lieint_jax.maps import KAPPAS, Kappa, as_kappa, kappa_cayley
 from lieint_jax.schemes._catalogue import SchemeProperties
 from lieint_jax.schemes._shared.half_rotation import gyration, gyration_matrix, on_branch
-from lieint_jax.types import State, Step, StepInfo, clock, pytree, static
+from lieint_jax.types import PotentialWithGradient, State, Step, StepInfo, argument, clock, pytree, static
 from lieint_jax.types.vectors import (
     Matrix,
     Symmetric,
@@ -53,16 +53,64 @@ __all__ = ["TopEnergyMomentum", "top_energy_momentum"]
 
 _APART = 1e-4  # above this |ΔΓ|²/|Γ|² the quadrature is corrected so that D̄·ΔΓ = ΔṼ exactly
 
+PROPERTIES = SchemeProperties(
+    name="top_energy_momentum",
+    systems="tops, satellites",
+    conserves=("energy less work", "momentum"),
+    limit="|ΔtΩ| of 2 to 4 for the Cayley κ",
+    aliases=("energy–momentum method",),
+    source="Lewis & Simo 1994, (4.3), (4.4), Results 6 and 7, corrected",
+    accepts=(AbstractTop, AbstractDrivenTop),
+)
+
 
 @pytree
 class TopEnergyMomentum(Step):
-    """The step made by `top_energy_momentum`."""
+    """The energy-momentum scheme (4.3), (4.4) with (4.6) corrected, for a rigid body in a potential with an axis.
 
-    system: AbstractTop | AbstractDrivenTop
-    kappa: Kappa
-    iterations: int = static()
-    order: float = static(default=2)
-    symmetric: bool = static(default=True)
+    | conserved | to |
+    |---|---|
+    | energy; for a driven top, energy less work | round-off, for any κ and any Ṽ (Result 7) |
+    | γ·π | round-off (Result 6), where γ does not move |
+    | the symplectic form | no: defect O(Δt³) per step, for any κ (Result 8); `splitting` conserves it |
+
+    The paper calls the scheme unconditionally stable. Energy is conserved at any Δt for which the step converges: for
+    heavy tops and κ = 1 up to |ΔtΩ| of 0.15 to 0.3 with 3 iterations and of 1 to 2 with 50, smaller for larger torques.
+
+    The scheme is of second order and time-symmetric. D̄ is the potential's own `discrete_gradient` if it has one,
+    otherwise the average of the gradient between Γ_n and Γ_{n+1} by 4 Gauss nodes, corrected along ΔΓ where
+    |ΔΓ| > 0.01.
+
+    Args:
+        system: `systems.heavy_top(...)` or `systems.potential_top(...)` with an axis; or a driven one with an axis,
+            `systems.driven_top(...)`, `systems.gravity_gradient(...)`. The work of a driven potential is computed from
+            differences of V, without ∂V/∂t or a quadrature.
+        kappa: κ as in `so3_midpoint`.
+        iterations: Newton corrections per step; by default 3 for a linear Ṽ and κ = 1, 5 for a linear Ṽ and any other
+            κ, 6 for any other Ṽ. With κ = 1, J = (1, 2, 2.5) and Δt²|E| = 0.008, 3 reach round-off for |Δt Ω| ≤ 0.3, 4
+            for ≤ 0.8. A step that does not converge reports `converged=False`.
+
+    Raises:
+        ValueError: no potential or no axis, κ is not callable, iterations is not a positive int.
+
+    Source: Lewis & Simo 1994, Results 6–8, with the factor κ that (4.6) lacks; the discrete gradient: Gonzalez 1996,
+    J. Nonlinear Sci. 6.
+    """
+
+    system: AbstractTop | AbstractDrivenTop = argument(converter=PROPERTIES.check)
+    kappa: Kappa = argument(converter=as_kappa, default=kappa_cayley)
+    iterations: int = static(converter=named(count, "iterations", 1, optional=True), default=None)
+    order: float = static(default=2, init=False)
+    symmetric: bool = static(default=True, init=False)
+
+    def check_fields(self) -> dict[str, int]:
+        if self.system.axis is None:
+            raise ValueError(
+                f"top_energy_momentum integrates {AbstractTop.noun}, got {type(self.system).__name__} without an axis; "
+                "use splitting"
+            )
+        default = (3 if self.kappa.constant else 5) if _is_linear(self.system.potential) else 6
+        return {"iterations": default if self.iterations is None else self.iterations}
 
     @property
     def name(self) -> str:
@@ -96,53 +144,6 @@ class TopEnergyMomentum(Step):
             f"{self.name} does not converge at dt = {dt}: the branch of this κ {self.kappa.branch}, or the potential "
             f"is too stiff. Use a smaller dt, or more than {self.iterations} iterations if |Δt Ω| < 1"
         )
-
-
-def top_energy_momentum(
-    system: AbstractTop | AbstractDrivenTop,
-    kappa: Kappa | Callable[[Array], Array] = kappa_cayley,
-    iterations: int | None = None,
-) -> TopEnergyMomentum:
-    """The energy-momentum scheme (4.3), (4.4) with (4.6) corrected, for a rigid body in a potential with an axis.
-
-    | conserved | to |
-    |---|---|
-    | energy; for a driven top, energy less work | round-off, for any κ and any Ṽ (Result 7) |
-    | γ·π | round-off (Result 6), where γ does not move |
-    | the symplectic form | no: defect O(Δt³) per step, for any κ (Result 8); `splitting` conserves it |
-
-    The paper calls the scheme unconditionally stable. Energy is conserved at any Δt for which the step converges: for
-    heavy tops and κ = 1 up to |ΔtΩ| of 0.15 to 0.3 with 3 iterations and of 1 to 2 with 50, smaller for larger torques.
-
-    The scheme is of second order and time-symmetric. D̄ is the potential's own `discrete_gradient` if it has one,
-    otherwise the average of the gradient between Γ_n and Γ_{n+1} by 4 Gauss nodes, corrected along ΔΓ where
-    |ΔΓ| > 0.01.
-
-    Args:
-        system: `systems.heavy_top(...)` or `systems.potential_top(...)` with an axis; or a driven one with an axis,
-            `systems.driven_top(...)`, `systems.gravity_gradient(...)`. The work of a driven potential is computed from
-            differences of V, without ∂V/∂t or a quadrature.
-        kappa: κ as in `so3_midpoint`.
-        iterations: Newton corrections per step; by default 3 for a linear Ṽ and κ = 1, 5 for a linear Ṽ and any other
-            κ, 6 for any other Ṽ. With κ = 1, J = (1, 2, 2.5) and Δt²|E| = 0.008, 3 reach round-off for |Δt Ω| ≤ 0.3, 4
-            for ≤ 0.8. A step that does not converge reports `converged=False`.
-
-    Raises:
-        ValueError: no potential or no axis, κ is not callable, iterations is not a positive int.
-
-    Source: Lewis & Simo 1994, Results 6–8, with the factor κ that (4.6) lacks; the discrete gradient: Gonzalez 1996,
-    J. Nonlinear Sci. 6.
-    """
-    PROPERTIES.check(system)
-    if system.axis is None:
-        raise ValueError(
-            f"top_energy_momentum integrates {AbstractTop.noun}, got {type(system).__name__} without an axis; use "
-            "splitting"
-        )
-    kappa = as_kappa(kappa)
-    if iterations is None:
-        iterations = (3 if kappa.constant else 5) if _is_linear(system.potential) else 6
-    return TopEnergyMomentum(system, kappa, _checks.count("iterations", iterations, 1))
 
 
 class _Field(NamedTuple):
@@ -260,7 +261,7 @@ class _Equation(ImplicitEquation[Vector]):
 
 
 def _is_linear(potential: Callable[..., Array]) -> bool:
-    return getattr(potential, "linear", False)
+    return isinstance(potential, PotentialWithGradient) and potential.linear
 
 
 def _rotated_axis(h: Vector, Gamma: Vector) -> Vector:
@@ -274,18 +275,10 @@ def _moment(h: Vector, Gamma: Vector, D: Vector) -> Vector:
     return cross(Gamma, D) + dot(Gamma, D) * h - dot(h, D) * Gamma
 
 
-PROPERTIES = SchemeProperties(
-    name="top_energy_momentum",
-    systems="tops, satellites",
-    conserves=("energy less work", "momentum"),
-    limit="|ΔtΩ| of 2 to 4 for the Cayley κ",
-    aliases=("energy–momentum method",),
-    source="Lewis & Simo 1994, (4.3), (4.4), Results 6 and 7, corrected",
-    accepts=(AbstractTop, AbstractDrivenTop),
-)
-
-
 @PROPERTIES.by_name
 def examples(system: AbstractTop | AbstractDrivenTop) -> list[Step]:
     """The paper's three κ's, for rigid bodies in a potential with an axis."""
     return [] if system.axis is None else [top_energy_momentum(system, kappa) for kappa in KAPPAS]
+
+
+top_energy_momentum = TopEnergyMomentum

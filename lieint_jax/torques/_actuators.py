@@ -17,7 +17,7 @@ from lieint_jax.groups import so3
 from lieint_jax.torques._arguments import VectorOfTime, cut, value_at, vector_of_time
 from lieint_jax.torques._body_axes import middle_axes
 from lieint_jax.torques._wheels import wheel_axes
-from lieint_jax.types import Law, Rotation, argument, parts, pytree, set_fields, static
+from lieint_jax.types import Law, Rotation, argument, parts, pytree, static
 from lieint_jax.types.shapes import PyTree
 from lieint_jax.types.vectors import cross, dot
 
@@ -114,9 +114,9 @@ class WheelMotor:
     window: tuple[Array, Array] | None = argument(converter=_window, default=None)
     allocation: Array = dataclasses.field(init=False)  # from a torque to those of the wheels, (m, 3)
 
-    def check_fields(self) -> None:
-        """Set the allocation; ValueError if the axes do not span all directions."""
-        set_fields(self, allocation=allocation(self.axes))
+    def check_fields(self) -> dict[str, Array]:
+        """The allocation; ValueError if the axes do not span all directions."""
+        return {"allocation": allocation(self.axes)}
 
     def __call__(self, t: Array, q: Array, Omega: Array, h: Array) -> Array:
         """The torques dh_j/dt on the wheels, (m,)."""

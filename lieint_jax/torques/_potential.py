@@ -16,7 +16,7 @@ from lieint_jax._numerics.discrete_gradient import discrete_gradient
 from lieint_jax.groups import so3
 from lieint_jax.torques._arguments import VectorOfTime, evaluate, value_at, vector_of_time
 from lieint_jax.torques._body_axes import end_axes, start_axes
-from lieint_jax.types import Law, Rotation, argument, callable_pytree, pytree, set_fields, vectors
+from lieint_jax.types import Law, Rotation, argument, callable_pytree, pytree, vectors
 from lieint_jax.types.shapes import PyTree
 from lieint_jax.types.vectors import cross, dot
 
@@ -90,13 +90,12 @@ class GravityGradient(DirectionalPotential):
     inertia: Array = argument(converter=partial(_checks.inertia, stacklevel=4))
     mu: Array = argument(converter=named(_checks.real_array, "mu", (), optional=True), default=None)
 
-    def check_fields(self) -> None:
-        """Set mu where it is that of the orbit; ValueError if it has none."""
-        if self.mu is None:
-            mu = getattr(self.orbit, "mu", None)
-            if mu is None:
-                raise ValueError("this orbit has no mu: give gravity_gradient(orbit, inertia, mu=…)")
-            set_fields(self, mu=_checks.real_array("mu", mu, ()))
+    def check_fields(self) -> dict[str, Array]:
+        """mu, by default that of the orbit; ValueError if it has none."""
+        mu = getattr(self.orbit, "mu", None) if self.mu is None else self.mu
+        if mu is None:
+            raise ValueError("this orbit has no mu: give gravity_gradient(orbit, inertia, mu=…)")
+        return {"mu": _checks.real_array("mu", mu, ())}
 
     def axis(self, t: Array) -> Array:
         """r̂ |√(3μ/r³)|: the direction of the body from the center, in a length that leaves V = ½ Γ·JΓ."""

@@ -15,7 +15,7 @@ from lieint_jax import _checks
 from lieint_jax._checks import concrete, for_each, named, not_negative, positive, real_array
 from lieint_jax.torques._arguments import VectorOfTime, direction_at, direction_of_time, evaluate
 from lieint_jax.torques._body_axes import middle_axes
-from lieint_jax.types import Law, Rotation, argument, callable_pytree, pytree, set_fields
+from lieint_jax.types import Law, Rotation, argument, callable_pytree, pytree
 from lieint_jax.types.shapes import PyTree
 from lieint_jax.types.vectors import Vector, cross, dot, vector
 
@@ -136,12 +136,13 @@ class SolarPlates(Plates):
     specular: Array = argument(converter=named(real_array, "specular"), default=0.0)
     diffuse: Array = argument(converter=named(real_array, "diffuse"), default=0.0)
 
-    def check_fields(self) -> None:
-        """Raise ValueError if shapes disagree or more light is reflected than arrives; there is a force for each."""
-        set_fields(self, force=self._each("force", self.force))
+    def check_fields(self) -> dict[str, Array]:
+        """A force for each plate; ValueError if shapes disagree or more light is reflected than arrives."""
+        force = self._each("force", self.force)
         for name, part in (("specular", self.specular), ("diffuse", self.diffuse)):
-            not_negative(name, part, (), self.force.shape)
+            not_negative(name, part, (), force.shape)
         _check_parts(self.specular, self.diffuse)
+        return {"force": force}
 
     def mean(self, rotation: Rotation, inner: PyTree) -> tuple[Array, PyTree]:
         """Σ r_j × F_j(Λᵀs) at the middle of the step."""
@@ -190,10 +191,11 @@ class Aerodynamic(Plates):
     arms: Array = argument(converter=named(real_array, "arms"))
     drag: Array = argument(converter=named(real_array, "drag"), default=2.2, kw_only=True)
 
-    def check_fields(self) -> None:
-        """Raise ValueError if shapes disagree; there is an area for each plate."""
-        set_fields(self, areas=self._each("areas", self.areas))
-        not_negative("drag", self.drag, (), self.areas.shape)
+    def check_fields(self) -> dict[str, Array]:
+        """An area for each plate; ValueError if shapes disagree."""
+        areas = self._each("areas", self.areas)
+        not_negative("drag", self.drag, (), areas.shape)
+        return {"areas": areas}
 
     def mean(self, rotation: Rotation, inner: PyTree) -> tuple[Array, PyTree]:
         """Σ r_j × F_j at the middle of the step; each plate moves through the air by Ω̄ × r_j too."""

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import copy
 import dataclasses
 from collections.abc import Callable
 
@@ -16,7 +15,7 @@ from lieint_jax._checks import concrete, for_each, named, positive, real_array
 from lieint_jax.groups import so3
 from lieint_jax.torques._arguments import cut
 from lieint_jax.torques._hold import held_in_step, why_not
-from lieint_jax.types import Law, Rotation, argument, callable_pytree, pytree, set_fields
+from lieint_jax.types import Law, Rotation, argument, callable_pytree, pytree, with_fields
 from lieint_jax.types.shapes import PyTree
 from lieint_jax.types.vectors import cross
 
@@ -73,18 +72,18 @@ class Wheels(Law):
     key = "wheels"
     internal = True
 
-    def check_fields(self) -> None:
-        """Raise ValueError if shapes do not agree; there are moments and speeds for each wheel."""
+    def check_fields(self) -> dict[str, Array]:
+        """A moment and a speed for each wheel; ValueError if shapes do not agree."""
         m = len(self.axes)
         moments = for_each(positive, "inertias", self.inertias, m)
         speeds = for_each(real_array, "speeds", self.speeds, m).astype(moments.dtype)
-        set_fields(self, inertias=moments, speeds=speeds)
         for name, limit in (("max_torque", self.max_torque), ("max_momentum", self.max_momentum)):
             if limit is not None:
                 positive(name, limit, (), (m,))
         if self.motor is not None:
             arguments = (jnp.zeros(()), jnp.asarray(so3.identity), jnp.zeros(3), jnp.zeros(m))
             _checks.function("motor", self.motor, "t, q (4,), Omega (3,) and h (m,)", (m,), *arguments)
+        return {"inertias": moments, "speeds": speeds}
 
     @property
     def symmetric(self) -> bool:  # pyright: ignore[reportIncompatibleVariableOverride]
@@ -135,7 +134,7 @@ class Wheels(Law):
 
     def holding(self, held: Array) -> Wheels:
         """Wheels whose motors give the torques held."""
-        return set_fields(copy.copy(self), motor=Partial(_constant, held))
+        return with_fields(self, motor=Partial(_constant, held))
 
     def sample(self, now: Rotation, dt: Array, inner: PyTree, held: Array) -> tuple[Array, Array]:
         """The torques to hold in a step of dt from now, and whether no step of dt passes over a sample."""

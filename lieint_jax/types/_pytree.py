@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 import dataclasses
 from collections.abc import Callable, Hashable, Iterable, Sequence
 from typing import Any, TypeVar, dataclass_transform
@@ -11,15 +12,14 @@ import numpy as np
 
 from lieint_jax._checks import dtype_of, name_of
 
-__all__ = ["Partitioned", "argument", "callable_pytree", "pytree", "set_fields", "static"]
+__all__ = ["Partitioned", "argument", "callable_pytree", "pytree", "static", "with_fields"]
 
 _T = TypeVar("_T")
 
 
 def static(*, converter: Callable[[Any], Any] | None = None, **options: Any) -> Any:
     """A dataclass field that is part of a pytree's structure, not one of its leaves. Its value must be hashable."""
-    converts = {} if converter is None else {"converter": converter}
-    return dataclasses.field(metadata={"static": True, **converts}, **options)
+    return dataclasses.field(metadata={"static": True, "converter": converter}, **options)
 
 
 def argument(*, converter: Callable[[Any], Any], **options: Any) -> Any:
@@ -51,8 +51,7 @@ def pytree(cls: type[_T]) -> type[_T]:
 
     def rebuilt(structure: tuple[object, ...], values: Iterable[object]) -> object:
         x = object.__new__(made)
-        for name, value in (*zip(fixed, structure[1:], strict=True), *zip(names, values, strict=True)):
-            object.__setattr__(x, name, value)
+        vars(x).update(zip((*fixed, *names), (*structure[1:], *values), strict=True))
         return x
 
     jax.tree_util.register_pytree_with_keys(made, leaves_with_keys, rebuilt, leaves)
@@ -60,19 +59,22 @@ def pytree(cls: type[_T]) -> type[_T]:
 
 
 def _convert(made: Any) -> None:
-    """Convert the fields of a new object that have a converter; a method `check_fields` may then compare them."""
+    """Convert the fields of a new object that have a converter.
+
+    A method `check_fields` may then compare them, and return the values of fields that follow from others, by name.
+    """
     for x in dataclasses.fields(made):
-        if "converter" in x.metadata:
-            object.__setattr__(made, x.name, x.metadata["converter"](getattr(made, x.name)))
+        if x.metadata.get("converter") is not None:
+            vars(made)[x.name] = x.metadata["converter"](getattr(made, x.name))
     if hasattr(made, "check_fields"):
-        made.check_fields()
+        vars(made).update(made.check_fields() or {})
 
 
-def set_fields(x: _T, **fields: object) -> _T:
-    """A frozen object with these fields as they are: one that `check_fields` completes, or a copy."""
-    for name, value in fields.items():
-        object.__setattr__(x, name, value)
-    return x
+def with_fields(made: _T, **values: Any) -> _T:
+    """A copy with other values of some fields, also of those that no constructor takes; nothing is converted."""
+    copied = copy.copy(made)
+    vars(copied).update(values)
+    return copied
 
 
 def callable_pytree(function: Callable[..., Any]) -> Callable[..., Any]:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import copy
 import functools
 from collections.abc import Callable
 from functools import partial
@@ -19,6 +18,7 @@ from lieint_jax._deprecated import warn_of_removal
 from lieint_jax._xla import compiled, differ, materialized_arrays, with_materialized_derivatives
 from lieint_jax.native import scan
 from lieint_jax.types._group import PhaseSpace, SpaceWithTangents
+from lieint_jax.types._pytree import with_fields
 from lieint_jax.types._state import State, StepInfo, all_finite
 from lieint_jax.types._system import System
 from lieint_jax.types.shapes import Flag, PhaseVector, PyTree, TangentVectors, Time
@@ -256,8 +256,8 @@ def _accept_override(cls: type[Step], method: str) -> None:
             if getattr(type(step), hook) is not getattr(cls, hook):  # a subclass of `cls` defines the hook
                 return final_method(step, state, dt, *T)
             step, *arguments = _in_one_type(step, state, dt, *T)
-            hooked = copy.copy(step)  # `step` itself goes to `written`, whose super() is to find the hook of a parent
-            object.__setattr__(hooked, hook, partial(written, step))
+            # `step` itself goes to `written`, whose super() is to find the hook of a parent
+            hooked = with_fields(step, **{hook: partial(written, step)})
             return final_method(hooked, *arguments)
 
         return call
