@@ -186,7 +186,7 @@ def named(
     check: Callable[..., Any], name: str, *shapes: Sequence[int], optional: bool = False
 ) -> Callable[[Input], Any]:
     """A check of one value, such as `positive` or `unit_vector`, as the converter of a field; it may leave None."""
-    return lambda value: None if optional and value is None else check(name, value, *shapes)
+    return lambda value, **like: None if optional and value is None else check(name, value, *shapes, **like)
 
 
 def step_size(dt: Input) -> Input:

@@ -21,7 +21,7 @@ from lieint_jax.systems._rigid_body import RigidBody
 from lieint_jax.systems._shared.body import TimedBody
 from lieint_jax.systems._torqued_body import TorquedBody, torqued_body
 from lieint_jax.torques import thruster
-from lieint_jax.types import Law, State, callable_pytree, clock, pytree
+from lieint_jax.types import Law, State, callable_pytree, clock, from_fields, pytree
 from lieint_jax.types.shapes import MomentumMap, Scalar, Time, Vector3
 
 __all__ = ["FrozenBody", "InertiaInTime", "TorquedInertiaInTime", "inertia_in_time"]
@@ -98,7 +98,7 @@ class InertiaInTime(_InTime, AbstractFreeBodyInTime):
     rate: _Inertia | None
 
     def frozen(self, t: Time) -> FrozenBody:
-        return FrozenBody(self.inertia_at(t))
+        return from_fields(FrozenBody, inertia=self.inertia_at(t))
 
 
 @pytree

@@ -27,7 +27,7 @@ from lieint_jax.groups import so3
 from lieint_jax.systems._catalogue import SystemProperties
 from lieint_jax.systems._rigid_body import RigidBody
 from lieint_jax.systems._shared.arguments import check_counts, explained, timed
-from lieint_jax.types import ChainLaw, PairLaw, State, callable_pytree, clock, pair_forces, pytree, vectors
+from lieint_jax.types import ChainLaw, PairLaw, State, callable_pytree, clock, from_fields, pair_forces, pytree, vectors
 from lieint_jax.types.shapes import Masses, MomentumMap, Poses, Positions, PyTree, Scalar
 
 __all__ = ["DissipativeBodies", "FreeBodies", "RigidBodies", "rigid_bodies"]
@@ -130,7 +130,7 @@ class FreeBodies(_Many, AbstractFreeBodies):
 
     def single_body(self, inertia: Array) -> RigidBody:
         """A free body of this inertia."""
-        return RigidBody(inertia)
+        return from_fields(RigidBody, inertia=inertia)
 
 
 @pytree

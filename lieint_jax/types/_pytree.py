@@ -11,7 +11,7 @@ import numpy as np
 
 from lieint_jax._checks import name_of
 
-__all__ = ["Partitioned", "argument", "callable_pytree", "pytree", "static"]
+__all__ = ["Partitioned", "argument", "callable_pytree", "from_fields", "pytree", "static"]
 
 _T = TypeVar("_T")
 
@@ -21,9 +21,19 @@ def static(**options: Any) -> Any:
     return dataclasses.field(metadata={"static": True}, **options)
 
 
-def argument(*, converter: Callable[[Any], Any], **options: Any) -> Any:
-    """A dataclass field whose value the constructor converts, and so checks; JAX rebuilds a pytree without it."""
-    return dataclasses.field(metadata={"converter": converter}, **options)
+def argument(*, converter: Callable[..., Any], like: str | None = None, **options: Any) -> Any:
+    """A dataclass field whose value the constructor converts, and so checks; JAX rebuilds a pytree without it.
+
+    With `like`, the name of a field before it, `converter(value, like=…)` is given that one's converted value too.
+    """
+    return dataclasses.field(metadata={"converter": converter, "like": like}, **options)
+
+
+def from_fields(cls: type[_T], /, **fields: Any) -> _T:
+    """An object with these fields as they are, as JAX rebuilds a pytree: converted before, or those of a batch."""
+    x = object.__new__(cls)
+    vars(x).update(fields)
+    return x
 
 
 @dataclass_transform(frozen_default=True, eq_default=False, field_specifiers=(dataclasses.field, argument, static))
@@ -49,10 +59,7 @@ def pytree(cls: type[_T]) -> type[_T]:
         return list(zip(keys, values, strict=True)), structure
 
     def rebuilt(structure: tuple[object, ...], values: Iterable[object]) -> object:
-        x = object.__new__(made)
-        for name, value in (*zip(fixed, structure[1:], strict=True), *zip(names, values, strict=True)):
-            object.__setattr__(x, name, value)
-        return x
+        return from_fields(made, **dict(zip(fixed + names, (*structure[1:], *values), strict=True)))
 
     jax.tree_util.register_pytree_with_keys(made, leaves_with_keys, rebuilt, leaves)
     return made
@@ -62,7 +69,9 @@ def _convert(made: Any) -> None:
     """Convert the fields of a new object that have a converter; a method `check_fields` may then compare them."""
     for x in dataclasses.fields(made):
         if "converter" in x.metadata:
-            object.__setattr__(made, x.name, x.metadata["converter"](getattr(made, x.name)))
+            like = x.metadata["like"]
+            options = {} if like is None else {"like": getattr(made, like)}
+            object.__setattr__(made, x.name, x.metadata["converter"](getattr(made, x.name), **options))
     if hasattr(made, "check_fields"):
         made.check_fields()
 
@@ -74,7 +83,7 @@ def callable_pytree(function: Callable[..., Any]) -> Callable[..., Any]:
     activation, the arrays can be differentiated and batched, and the rest is part of the structure.
     """
     leaves, structure = jax.tree_util.tree_flatten(function)
-    if all(_is_number(leaf) for leaf in leaves):
+    if not callable(function) or all(_is_number(leaf) for leaf in leaves):
         return function
     if jax.tree_util.all_leaves([function]):
         return jax.tree_util.Partial(function)
