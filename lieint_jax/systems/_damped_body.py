@@ -8,8 +8,7 @@ from lieint_jax import _checks
 from lieint_jax._checks import concrete, named
 from lieint_jax.capabilities import AbstractDampedBody
 from lieint_jax.systems._catalogue import SystemProperties
-from lieint_jax.systems._shared.arguments import as_inertia
-from lieint_jax.systems._shared.body import TimedBody
+from lieint_jax.systems._shared.body import TimedBody, as_inertia
 from lieint_jax.types import State, argument, pytree
 
 __all__ = ["DampedBody", "damped_body"]

@@ -12,7 +12,8 @@ from numpy.typing import ArrayLike
 from lieint_jax import _checks, capabilities
 from lieint_jax.systems._catalogue import SystemProperties
 from lieint_jax.systems._gyrostat import Gyrostat
-from lieint_jax.systems._shared.arguments import as_inertia, check_timed, explained, timed
+from lieint_jax.systems._shared.arguments import check_timed, explained, timed
+from lieint_jax.systems._shared.body import as_inertia
 from lieint_jax.types import State, argument, callable_pytree, clock, from_fields, pytree
 from lieint_jax.types.shapes import MomentumMap, Scalar, Time, Vector3
 

@@ -15,8 +15,7 @@ from lieint_jax.systems._catalogue import SystemProperties
 from lieint_jax.systems._heavy_top import LinearPotential
 from lieint_jax.systems._potential_top import checked_axis
 from lieint_jax.systems._rigid_body import WithFreeBody
-from lieint_jax.systems._shared.arguments import as_inertia
-from lieint_jax.systems._shared.body import TimedBody
+from lieint_jax.systems._shared.body import TimedBody, as_inertia
 from lieint_jax.types import State, System, argument, callable_pytree, check_gradient, clock, pytree, vectors
 from lieint_jax.types.shapes import Matrix3, MomentumMap, Scalar, Time, Vector3
 

@@ -7,8 +7,7 @@ from jax import Array
 from lieint_jax import _checks, capabilities
 from lieint_jax.groups import so3
 from lieint_jax.systems._catalogue import SystemProperties
-from lieint_jax.systems._shared.arguments import as_inertia
-from lieint_jax.systems._shared.body import Body
+from lieint_jax.systems._shared.body import Body, as_inertia
 from lieint_jax.types import State, argument, pytree, vectors
 
 __all__ = ["EmbeddedBody", "embedded_body"]

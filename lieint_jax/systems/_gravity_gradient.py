@@ -15,7 +15,7 @@ from lieint_jax.orbits import kepler
 from lieint_jax.systems._catalogue import SystemProperties
 from lieint_jax.systems._driven_top import MovedBody
 from lieint_jax.systems._potential_top import QuadraticPotential
-from lieint_jax.systems._shared.arguments import as_inertia
+from lieint_jax.systems._shared.body import as_inertia
 from lieint_jax.types import State, System, argument, callable_pytree, pytree, vectors
 from lieint_jax.types.shapes import Time, Vector3
 

@@ -10,8 +10,7 @@ from lieint_jax._checks import named
 from lieint_jax.groups import so3
 from lieint_jax.systems._catalogue import SystemProperties
 from lieint_jax.systems._rigid_body import WithFreeBody
-from lieint_jax.systems._shared.arguments import as_inertia
-from lieint_jax.systems._shared.body import Rotating
+from lieint_jax.systems._shared.body import Rotating, as_inertia
 from lieint_jax.types import State, argument, pytree, vectors
 from lieint_jax.types.shapes import Scalar, Vector3
 

@@ -16,8 +16,7 @@ from lieint_jax.capabilities import AbstractTop
 from lieint_jax.groups import so3
 from lieint_jax.systems._catalogue import SystemProperties
 from lieint_jax.systems._rigid_body import WithFreeBody
-from lieint_jax.systems._shared.arguments import as_inertia
-from lieint_jax.systems._shared.body import Body
+from lieint_jax.systems._shared.body import Body, as_inertia
 from lieint_jax.types import PotentialWithGradient, State, argument, callable_pytree, check_gradient, pytree, vectors
 from lieint_jax.types.shapes import Matrix3, MomentumMap, Scalar, Time, Vector3
 

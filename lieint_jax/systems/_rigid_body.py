@@ -11,8 +11,7 @@ from lieint_jax._xla import compiled
 from lieint_jax.capabilities import AbstractFreeBody
 from lieint_jax.groups import so3
 from lieint_jax.systems._catalogue import SystemProperties
-from lieint_jax.systems._shared.arguments import as_inertia
-from lieint_jax.systems._shared.body import Body
+from lieint_jax.systems._shared.body import Body, as_inertia
 from lieint_jax.types import State, argument, from_fields, pytree, vectors
 
 __all__ = ["RigidBody", "rigid_body", "tumbling_state"]

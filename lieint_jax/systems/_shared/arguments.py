@@ -13,7 +13,6 @@ from lieint_jax import _checks
 from lieint_jax.types import State, clock
 
 _F = TypeVar("_F", bound=Callable[..., Any])
-as_inertia = functools.partial(_checks.inertia, stacklevel=4)  # a field's converter: it warns where the class is called
 
 
 def explained(method: _F) -> _F:
