@@ -55,11 +55,11 @@ class OlderLaw(Law):
         return torque, None if inner is None else inner - rotation.dt * jnp.asarray(torque)
 
     def energy(self, t: Array, q: Array, inner: PyTree) -> Array:
-        energy = jnp.zeros((), q.dtype)
+        energy = jnp.zeros((), q.dtype) if inner is None else self.law.inner_energy(inner)
         match self.law:
             case object(potential=potential):
                 energy = energy + potential(q)
-        return energy if inner is None else energy + self.law.inner_energy(inner)
+        return energy
 
     def work(self, rotation: Rotation, torque: Array, inner: PyTree, after: PyTree) -> Array:
         match self._during(rotation.dt, inner):
