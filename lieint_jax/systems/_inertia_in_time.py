@@ -34,6 +34,7 @@ class FrozenBody(TimedBody, RigidBody):
     """A free body at one time of an `InertiaInTime`; its states have the time."""
 
 
+@pytree
 class _InTime(AbstractBodyInTime):
     """The states and the energy of a body whose inertia is a function of time."""
 
@@ -94,9 +95,6 @@ class _InTime(AbstractBodyInTime):
 class InertiaInTime(_InTime, AbstractFreeBodyInTime):
     """H = ½ Π·J(t)⁻¹Π: Λ̇ = ΛΩ̂, π̇ = 0. Made by `inertia_in_time`."""
 
-    inertia: _Inertia
-    rate: _Inertia | None
-
     def frozen(self, t: Time) -> FrozenBody:
         return from_fields(FrozenBody, inertia=self.inertia_at(t))
 
@@ -105,8 +103,6 @@ class InertiaInTime(_InTime, AbstractFreeBodyInTime):
 class TorquedInertiaInTime(_InTime, AbstractTorquedBodyInTime):
     """H = ½ Π·J(t)⁻¹Π + ΣE_k: Λ̇ = ΛΩ̂, π̇ = Στ_k. Made by `inertia_in_time` with a torque."""
 
-    inertia: _Inertia
-    rate: _Inertia | None
     torque: Law
 
     def frozen(self, t: Time) -> TorquedBody:
