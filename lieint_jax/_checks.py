@@ -189,12 +189,12 @@ def not_negative(name: str, value: Input, *shapes: Sequence[int]) -> Array:
     return number
 
 
-def named(check: Callable[..., Any], name: str, *more: Any, optional: bool = False) -> Callable[[Input], Any]:
+def named(check: Callable[..., Any], name: str, *more: Any, optional: bool = False) -> Callable[..., Any]:
     """A check of one value, such as `positive` or `count`, as the converter of a field; it may leave None.
 
     `more` is what else the check takes: the allowed shapes, or the least count.
     """
-    return lambda value: None if optional and value is None else check(name, value, *more)
+    return lambda value, **like: None if optional and value is None else check(name, value, *more, **like)
 
 
 def optional(value: _T | None) -> _T:

@@ -3,30 +3,23 @@
 from __future__ import annotations
 
 from jax import Array
-from numpy.typing import ArrayLike
 
 from lieint_jax import _checks
-from lieint_jax._checks import concrete
+from lieint_jax._checks import concrete, named
 from lieint_jax.capabilities import AbstractDampedBody
 from lieint_jax.systems._catalogue import SystemProperties
-from lieint_jax.systems._shared.body import TimedBody
-from lieint_jax.types import State, pytree
+from lieint_jax.systems._shared.body import TimedBody, as_inertia
+from lieint_jax.types import State, argument, pytree
 
 __all__ = ["DampedBody", "damped_body"]
 
 
 @pytree
 class DampedBody(TimedBody, AbstractDampedBody):
-    """H = ½ Π·J⁻¹Π; Λ̇ = Λ(Ω + αΠ × Ω)^, π̇ = 0, so that Ḣ = −α|Π × Ω|². Made by `damped_body`."""
-
-    inertia: Array
-    friction: Array
-
-
-def damped_body(inertia: ArrayLike, friction: ArrayLike) -> DampedBody:
     """A free rigid body with internal friction, such as that of a fluid or of bending: the energy-sink model.
 
-    π is constant and the energy decreases to |π|²/2J₃, where the body rotates about its axis of largest inertia.
+    H = ½ Π·J⁻¹Π; Λ̇ = Λ(Ω + αΠ × Ω)^, π̇ = 0, so that Ḣ = −α|Π × Ω|². The energy decreases to |π|²/2J₃, where the body
+    rotates about its axis of largest inertia.
 
     Args:
         inertia: principal moments (3,) or a symmetric tensor in body axes (3, 3).
@@ -42,13 +35,17 @@ def damped_body(inertia: ArrayLike, friction: ArrayLike) -> DampedBody:
         >>> body = damped_body([1.0, 2.0, 3.0], 0.1)
         >>> state = body.state(angular_velocity=[1.0, 0.1, 0.1], work=0.0)
     """
-    inertia = _checks.inertia(inertia)
-    alpha = _checks.real_array("friction", friction, (), like=inertia)
-    if concrete(alpha) and float(alpha) < 0:
-        raise ValueError(f"friction must not be negative, got {float(alpha):g}: it would give energy to the body")
-    return DampedBody(inertia, alpha)
+
+    inertia: Array = argument(converter=as_inertia)
+    friction: Array = argument(converter=named(_checks.real_array, "friction", ()), like="inertia")
+
+    def check_fields(self) -> None:
+        """Raise ValueError if the friction is negative."""
+        if concrete(alpha := self.friction) and float(alpha) < 0:
+            raise ValueError(f"friction must not be negative, got {float(alpha):g}: it would give energy to the body")
 
 
+damped_body = DampedBody
 PROPERTIES = SystemProperties(
     name="damped_body",
     models="a rigid body with internal friction",

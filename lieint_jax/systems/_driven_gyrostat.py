@@ -13,7 +13,8 @@ from lieint_jax import _checks, capabilities
 from lieint_jax.systems._catalogue import SystemProperties
 from lieint_jax.systems._gyrostat import Gyrostat
 from lieint_jax.systems._shared.arguments import check_timed, explained, timed
-from lieint_jax.types import State, callable_pytree, clock, pytree
+from lieint_jax.systems._shared.body import as_inertia
+from lieint_jax.types import State, argument, callable_pytree, clock, from_fields, pytree
 from lieint_jax.types.shapes import MomentumMap, Scalar, Time, Vector3
 
 __all__ = ["DrivenGyrostat", "SpinUpMotor", "driven_gyrostat"]
@@ -21,10 +22,39 @@ __all__ = ["DrivenGyrostat", "SpinUpMotor", "driven_gyrostat"]
 
 @pytree
 class DrivenGyrostat(capabilities.AbstractDrivenGyrostat):
-    """H = ½(Π − h_r)·J⁻¹(Π − h_r) as in `Gyrostat`, with ḣ_r = τ(t) and Ḣ = −Ω·τ. Made by `driven_gyrostat`."""
+    """A rigid body with a rotor that a motor accelerates.
 
-    inertia: Array
-    motor: Callable[[Array], Array]
+    H = ½(Π − h_r)·J⁻¹(Π − h_r) as in `gyrostat`, ḣ_r = τ(t), Ḣ = −Ω·τ: the motor's torque τ acts on the rotor, −τ on
+    the body, so π and H − W are conserved. With J and h_r as in `gyrostat` for a rotor that spins freely on its
+    bearings, τ is the torque about its axis times its axis. H does not contain the energy of the rotor's spin: the
+    total work of the motor is H − H₀ plus the change of |h_r|²/2I.
+
+    Args:
+        inertia: principal moments, shape (3,), or a symmetric tensor in body axes, shape (3, 3); without the rotor's
+            moment about its axis.
+        motor: τ, a function of the time t, a scalar, with values (3,) in the body: a smooth JAX function. Parameters to
+            be differentiated or batched go into a `jax.tree_util.Partial`, or any pytree that can be called.
+
+    Raises:
+        ValueError: a bad inertia; `motor` is not a function of t with values (3,).
+
+    Source: Hughes 1986, Spacecraft Attitude Dynamics.
+
+    Example:
+        >>> satellite = driven_gyrostat([1.0, 2.0, 3.0], lambda t: jnp.array([0.1, 0.0, 0.0]))
+        >>> state = satellite.state([1, 0, 0, 0], angular_velocity=[0.2, 0.0, 1.0], work=0.0)
+        >>> satellite.vector_field(state).extra["rotor"].tolist()
+        [0.1, 0.0, 0.0]
+    """
+
+    inertia: Array = argument(converter=as_inertia)
+    motor: Callable[[Array], Array] = argument(converter=callable_pytree)
+
+    def check_fields(self) -> None:
+        """Raise ValueError if the motor is no function of time."""
+        if not callable(self.motor):
+            raise ValueError(f"motor must be a function of the time t with values (3,), got {self.motor!r}")
+        _checks.function("motor", self.torque, "the time t", (3,), jnp.zeros((), self.inertia.dtype))
 
     @property
     def initial_extra(self) -> dict[str, Array]:
@@ -77,7 +107,7 @@ class DrivenGyrostat(capabilities.AbstractDrivenGyrostat):
 
     def with_rotor(self, rotor: Vector3) -> Gyrostat:
         """The gyrostat with the constant rotor momentum `rotor`: this one, frozen at one time."""
-        return Gyrostat(self.inertia, rotor)
+        return from_fields(Gyrostat, inertia=self.inertia, rotor=rotor)
 
     def energy(self, state: State) -> Scalar:
         """½(Π − h_r)·J⁻¹(Π − h_r); energy less work is conserved."""
@@ -93,38 +123,6 @@ class DrivenGyrostat(capabilities.AbstractDrivenGyrostat):
         self.with_rotor(h).check(state)
         check_timed(state)
         _checks.real_array(f"the motor's torque at t = {state.t}", self.torque(clock(state)), (3,))
-
-
-def driven_gyrostat(inertia: ArrayLike, motor: Callable[[Array], ArrayLike]) -> DrivenGyrostat:
-    """A rigid body with a rotor that a motor accelerates.
-
-    The motor's torque τ acts on the rotor, −τ on the body, so π and H − W are conserved. With J and h_r as in
-    `gyrostat` for a rotor that spins freely on its bearings, τ is the torque about its axis times its axis. H does not
-    contain the energy of the rotor's spin: the total work of the motor is H − H₀ plus the change of |h_r|²/2I.
-
-    Args:
-        inertia: principal moments, shape (3,), or a symmetric tensor in body axes, shape (3, 3); without the rotor's
-            moment about its axis.
-        motor: τ, a function of the time t, a scalar, with values (3,) in the body: a smooth JAX function. Parameters to
-            be differentiated or batched go into a `jax.tree_util.Partial`, or any pytree that can be called.
-
-    Raises:
-        ValueError: a bad inertia; `motor` is not a function of t with values (3,).
-
-    Source: Hughes 1986, Spacecraft Attitude Dynamics.
-
-    Example:
-        >>> satellite = driven_gyrostat([1.0, 2.0, 3.0], lambda t: jnp.array([0.1, 0.0, 0.0]))
-        >>> state = satellite.state([1, 0, 0, 0], angular_velocity=[0.2, 0.0, 1.0], work=0.0)
-        >>> satellite.vector_field(state).extra["rotor"].tolist()
-        [0.1, 0.0, 0.0]
-    """
-    J = _checks.inertia(inertia)
-    if not callable(motor):
-        raise ValueError(f"motor must be a function of the time t with values (3,), got {motor!r}")
-    made = DrivenGyrostat(J, callable_pytree(motor))
-    _checks.function("motor", made.torque, "the time t", (3,), jnp.zeros((), J.dtype))
-    return made
 
 
 @pytree
@@ -144,6 +142,7 @@ class SpinUpMotor:
         return self.momentum / self.duration * (1 - jnp.cos(phase))
 
 
+driven_gyrostat = DrivenGyrostat
 PROPERTIES = SystemProperties(
     name="driven_gyrostat",
     models="a rigid body with a rotor that a motor drives",

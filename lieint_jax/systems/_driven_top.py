@@ -3,33 +3,27 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from typing import Any
 
 import jax.numpy as jnp
-import numpy as np
 from jax import Array
-from numpy.typing import ArrayLike
 
 from lieint_jax import _checks, capabilities
-from lieint_jax._checks import concrete
 from lieint_jax._xla import unfused
 from lieint_jax.groups import so3
 from lieint_jax.systems._catalogue import SystemProperties
 from lieint_jax.systems._heavy_top import LinearPotential
-from lieint_jax.systems._rigid_body import RigidBody
-from lieint_jax.systems._shared.body import TimedBody
-from lieint_jax.types import State, System, callable_pytree, check_gradient, clock, pytree, vectors
+from lieint_jax.systems._potential_top import checked_axis
+from lieint_jax.systems._rigid_body import WithFreeBody
+from lieint_jax.systems._shared.body import TimedBody, as_inertia
+from lieint_jax.types import State, System, argument, callable_pytree, check_gradient, clock, pytree, vectors
 from lieint_jax.types.shapes import Matrix3, MomentumMap, Scalar, Time, Vector3
 
 __all__ = ["DrivenTop", "driven_top"]
 
 
-class MovedBody(TimedBody, capabilities.AbstractDrivenTop):
+class MovedBody(WithFreeBody, TimedBody, capabilities.AbstractDrivenTop):
     """The methods of all driven tops, which differ in the origin of their potential and axis."""
-
-    @property
-    def free(self) -> RigidBody:
-        """The free body of this inertia, without the potential."""
-        return RigidBody(self.inertia)
 
     def axis_at(self, t: Time) -> Vector3:
         """γ(t) in space, shape (3,)."""
@@ -59,26 +53,21 @@ class MovedBody(TimedBody, capabilities.AbstractDrivenTop):
         clock(state)
 
 
+def _axis(given: Any, like: Array | None = None) -> Callable[[Array], Array] | Array | None:
+    """γ, a function of time or constant."""
+    if not callable(given):
+        return checked_axis(given, like, "Λ and t")
+    axis = callable_pytree(given)
+    _checks.function("axis", axis, "t, the time", (3,), jnp.zeros((), None if like is None else like.dtype))
+    return axis
+
+
 @pytree
 class DrivenTop(MovedBody):
-    """H = ½ Π·J⁻¹Π + V: Λ̇ = ΛΩ̂, π̇ = γ × ΛDṼ(Γ, t) with Γ = Λᵀγ(t) (4.2). Made by `driven_top`.
-
-    Energy is not conserved; energy less work is, with work = ∫∂V/∂t dt.
-    """
-
-    inertia: Array
-    potential: Callable[[Array, Array], Array]
-    axis: Callable[[Array], Array] | Array | None
-
-
-def driven_top(
-    inertia: ArrayLike,
-    potential: Callable[[Array, Array], Array],
-    axis: ArrayLike | Callable[[Array], Array] | None = (0.0, 0.0, 1.0),
-) -> DrivenTop:
     """A rigid body with a fixed point in a potential that is a given function of time.
 
-    Energy less work is conserved, and γ·π if the axis γ is constant.
+    H = ½ Π·J⁻¹Π + V: Λ̇ = ΛΩ̂, π̇ = γ × ΛDṼ(Γ, t) with Γ = Λᵀγ(t) (4.2). Energy less work is conserved, with
+    work = ∫∂V/∂t dt, and γ·π if the axis γ is constant.
 
     Args:
         inertia: about the fixed point: principal moments (3,) or a symmetric tensor (3, 3).
@@ -98,25 +87,20 @@ def driven_top(
         >>> top = driven_top([1.0, 2.0, 3.0], lambda Gamma, t: (1 + 0.3 * jnp.sin(2 * t)) * Gamma[2])
         >>> state = top.state(angular_velocity=[0.1, 0.2, 1.0], t=0.0, work=0.0)
     """
-    inertia = _checks.inertia(inertia)
-    if not callable(potential):
-        raise ValueError(f"potential must be a function of {_argument(axis)}, got {potential!r}")
-    if callable(axis):
-        axis = callable_pytree(axis)
-        _checks.function("axis", axis, "t, the time", (3,), jnp.zeros((), inertia.dtype))
-    elif axis is not None:
-        given, axis = axis, _checks.real_array("axis", axis, (3,), like=inertia)
-        if concrete(given) and not np.any(np.asarray(given)):
-            raise ValueError("axis must not be zero; without a symmetry axis give axis=None and a potential of Λ and t")
-    made = DrivenTop(inertia, callable_pytree(potential), axis)
-    q, t = jnp.zeros(4, inertia.dtype), jnp.zeros((), inertia.dtype)
-    _checks.function("potential", made.potential_energy, _argument(axis), (), q, t)
-    check_gradient(made.potential, inertia.dtype, driven=True)
-    return made
 
+    inertia: Array = argument(converter=as_inertia)
+    potential: Callable[[Array, Array], Array] = argument(converter=callable_pytree)
+    axis: Callable[[Array], Array] | Array | None = argument(converter=_axis, like="inertia", default=(0.0, 0.0, 1.0))
 
-def _argument(axis: object) -> str:
-    return "(Λ, t), the rotation matrix (3, 3) and the time" if axis is None else "(Γ, t), Γ = Λᵀγ (3,) and the time"
+    def check_fields(self) -> None:
+        """Raise ValueError if the potential is no function of Γ and t, or without an axis of Λ and t."""
+        fixed = self.axis is None
+        of = "(Λ, t), the rotation matrix (3, 3) and the time" if fixed else "(Γ, t), Γ = Λᵀγ (3,) and the time"
+        if not callable(self.potential):
+            raise ValueError(f"potential must be a function of {of}, got {self.potential!r}")
+        dtype = self.inertia.dtype
+        _checks.function("potential", self.potential_energy, of, (), jnp.zeros(4, dtype), jnp.zeros((), dtype))
+        check_gradient(self.potential, dtype, driven=True)
 
 
 def _swing(t: Time) -> Vector3:
@@ -134,6 +118,7 @@ def _wells(R: Matrix3, t: Time) -> Scalar:
     return 0.3 * jnp.cos(0.8 * t) * (R[0, 0] + R[1, 2]) + 0.2 * R[2, 0] ** 2
 
 
+driven_top = DrivenTop
 PROPERTIES = SystemProperties(
     name="driven_top",
     models="a rigid body in a potential that is a given function of time",

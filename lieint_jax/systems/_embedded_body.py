@@ -2,14 +2,12 @@
 
 from __future__ import annotations
 
-from functools import partial
-
 from jax import Array
 
 from lieint_jax import _checks, capabilities
 from lieint_jax.groups import so3
 from lieint_jax.systems._catalogue import SystemProperties
-from lieint_jax.systems._shared.body import Body
+from lieint_jax.systems._shared.body import Body, as_inertia
 from lieint_jax.types import State, argument, pytree, vectors
 
 __all__ = ["EmbeddedBody", "embedded_body"]
@@ -37,7 +35,7 @@ class EmbeddedBody(Body, capabilities.AbstractEmbeddedBody):
         ((3, 3), 1.52)
     """
 
-    inertia: Array = argument(converter=partial(_checks.inertia, stacklevel=4))
+    inertia: Array = argument(converter=as_inertia)
 
     configuration = staticmethod(so3.to_matrix)
 
@@ -49,6 +47,7 @@ class EmbeddedBody(Body, capabilities.AbstractEmbeddedBody):
             raise ValueError(f"state.q must have a positive determinant, got {det:.3g}")
 
 
+embedded_body = EmbeddedBody
 PROPERTIES = SystemProperties(
     name="embedded_body",
     models="a free rigid body with its attitude in L(3)",
@@ -65,6 +64,3 @@ def examples() -> dict[str, tuple[EmbeddedBody, State, float]]:
     """The body of the paper's Figure 1."""
     body = embedded_body([1.0, 2.0, 3.0])
     return {"embedded": (body, body.state(angular_velocity=[0.2, 0.0, 1.0]), 0.05)}
-
-
-embedded_body = EmbeddedBody

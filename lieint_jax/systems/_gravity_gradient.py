@@ -2,22 +2,21 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from typing import Any
 
 import jax
 import jax.numpy as jnp
 from jax import Array
-from numpy.typing import ArrayLike
 
 from lieint_jax import _checks
-from lieint_jax._checks import concrete
+from lieint_jax._checks import concrete, named
 from lieint_jax.groups import so3
 from lieint_jax.orbits import kepler
 from lieint_jax.systems._catalogue import SystemProperties
 from lieint_jax.systems._driven_top import MovedBody
 from lieint_jax.systems._potential_top import QuadraticPotential
-from lieint_jax.types import State, System, callable_pytree, pytree, vectors
+from lieint_jax.systems._shared.body import as_inertia
+from lieint_jax.types import State, System, argument, callable_pytree, pytree, vectors
 from lieint_jax.types.shapes import Time, Vector3
 
 __all__ = ["GravityGradient", "gravity_gradient"]
@@ -39,30 +38,11 @@ class TidalAxis:
 
 @pytree
 class GravityGradient(MovedBody):
-    """H = ½ Π·J⁻¹Π + (3μ/2r³) r̂·ΛJΛᵀr̂ with r̂(t), r(t) of an orbit. Made by `gravity_gradient`."""
-
-    inertia: Array
-    orbit: Any
-    mu: Array | None
-
-    @property
-    def potential(self) -> QuadraticPotential:
-        """Ṽ(Γ) = ½Γ·JΓ; only the axis depends on time."""
-        return QuadraticPotential(self.inertia)
-
-    @property
-    def axis(self) -> TidalAxis:
-        """γ(t) = √(3μ/r³) r̂."""
-        return TidalAxis(self.orbit, self.mu)
-
-
-def gravity_gradient(
-    inertia: ArrayLike, orbit: Callable[[Array], tuple[Array, Array]], mu: ArrayLike | None = None
-) -> GravityGradient:
     """A rigid body whose center moves on a given orbit, in the field of a point mass, to second order of size/distance.
 
-    V = (3μ/2r³) r̂·ΛJΛᵀr̂, and the torque in space is (3μ/r³) r̂ × ΛJΛᵀr̂. The attitude with the axis of least moment
-    along r̂ is stable. The orbit is prescribed: the attitude does not influence it. Energy less work is conserved.
+    H = ½ Π·J⁻¹Π + (3μ/2r³) r̂·ΛJΛᵀr̂ with r̂(t), r(t) of the orbit; the torque in space is (3μ/r³) r̂ × ΛJΛᵀr̂. The attitude
+    with the axis of least moment along r̂ is stable. The orbit is prescribed: the attitude does not influence it. Energy
+    less work is conserved.
 
     Args:
         inertia: about the center of mass: principal moments (3,) or a symmetric tensor (3, 3).
@@ -81,26 +61,43 @@ def gravity_gradient(
         >>> satellite = gravity_gradient([1.0, 2.0, 2.5], orbits.kepler(1.0, 1.0, 0.1))
         >>> state = satellite.state(angular_velocity=[0.0, 0.0, 1.0], t=0.0, work=0.0)
     """
-    inertia = _checks.inertia(inertia)
-    if not callable(orbit):
-        raise ValueError(
-            f"orbit must be a function t ↦ (position, velocity), such as orbits.kepler(...), got {orbit!r}"
-        )
-    if mu is None and not hasattr(orbit, "mu"):
-        raise ValueError("the orbit has no attribute mu: give mu, the gravitational parameter of the center")
-    mu = None if mu is None else _checks.real_array("mu", mu, (), like=inertia)
-    used = orbit.mu if mu is None else mu  # pyright: ignore[reportFunctionMemberAccess]
-    if concrete(used) and not float(used) > 0:
-        raise ValueError(f"mu must be positive, got {float(used)}")
-    try:
-        shapes = [getattr(x, "shape", None) for x in jax.eval_shape(orbit, jnp.zeros((), inertia.dtype))]
-    except (TypeError, IndexError, ValueError) as error:
-        raise ValueError(f"orbit must be a function t ↦ (position, velocity); it fails: {error}") from error
-    if shapes != [(3,), (3,)]:
-        raise ValueError(f"orbit must give (position, velocity), each of shape (3,), got shapes {shapes}")
-    return GravityGradient(inertia, callable_pytree(orbit), mu)
+
+    inertia: Array = argument(converter=as_inertia)
+    orbit: Any = argument(converter=callable_pytree)
+    mu: Array | None = argument(
+        converter=named(_checks.real_array, "mu", (), optional=True), like="inertia", default=None
+    )
+
+    def check_fields(self) -> None:
+        """Raise ValueError if the orbit is no such function of time, or μ is missing or not positive."""
+        orbit = self.orbit
+        if not callable(orbit):
+            raise ValueError(
+                f"orbit must be a function t ↦ (position, velocity), such as orbits.kepler(...), got {orbit!r}"
+            )
+        if (mu := getattr(orbit, "mu", None) if self.mu is None else self.mu) is None:
+            raise ValueError("the orbit has no attribute mu: give mu, the gravitational parameter of the center")
+        if concrete(mu) and not float(mu) > 0:
+            raise ValueError(f"mu must be positive, got {float(mu)}")
+        try:
+            shapes = [x.shape for x in jax.eval_shape(orbit, jnp.zeros((), self.inertia.dtype))]
+        except (AttributeError, TypeError, IndexError, ValueError) as error:
+            raise ValueError(f"orbit must be a function t ↦ (position, velocity); it fails: {error}") from error
+        if shapes != [(3,), (3,)]:
+            raise ValueError(f"orbit must give (position, velocity), each of shape (3,), got shapes {shapes}")
+
+    @property
+    def potential(self) -> QuadraticPotential:
+        """Ṽ(Γ) = ½Γ·JΓ; only the axis depends on time."""
+        return QuadraticPotential(self.inertia)
+
+    @property
+    def axis(self) -> TidalAxis:
+        """γ(t) = √(3μ/r³) r̂."""
+        return TidalAxis(self.orbit, self.mu)
 
 
+gravity_gradient = GravityGradient
 PROPERTIES = SystemProperties(
     name="gravity_gradient",
     models="a satellite or a moon on a given orbit",

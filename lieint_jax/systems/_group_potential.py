@@ -22,10 +22,14 @@ from lieint_jax.types.shapes import DualVector, MomentumMap, Scalar, SquareMatri
 __all__ = ["DrivenGroupPotential", "GroupPotential", "group_potential"]
 
 
+@pytree
 class _InPotential(OnGroup):
     """What potentials with and without a time have in common."""
 
+    metric: Array
+    potential: Callable[..., Array]
     symmetry: Array
+    group: Group = static()
 
     @property
     def free(self) -> Euler:
@@ -41,11 +45,6 @@ class _InPotential(OnGroup):
 class GroupPotential(_InPotential, AbstractMechanicalSystem):
     """H = ½⟨Π, m⁻¹Π⟩ + V(q), Π = Ad*_q π (5.42); q̇ = qΩ̂, π̇ = −T*R dV(q) (5.41). Made by `group_potential`."""
 
-    metric: Array
-    potential: Callable[[Array], Array]
-    symmetry: Array
-    group: Group = static()
-
     def energy(self, state: State) -> Scalar:
         """½⟨Π, m⁻¹Π⟩ + V(q)."""
         return self.kinetic_energy(state) + self.potential(state.q)
@@ -57,11 +56,6 @@ class DrivenGroupPotential(_InPotential, AbstractDrivenSystem):
 
     H − work is conserved, with work = ∫∂V/∂t dt.
     """
-
-    metric: Array
-    potential: Callable[[Array, Array], Array]
-    symmetry: Array
-    group: Group = static()
 
     @explained
     def state(

@@ -4,42 +4,24 @@ from __future__ import annotations
 
 import jax.numpy as jnp
 from jax import Array
-from numpy.typing import ArrayLike
 
 from lieint_jax import _checks, capabilities
+from lieint_jax._checks import named
 from lieint_jax.groups import so3
 from lieint_jax.systems._catalogue import SystemProperties
-from lieint_jax.systems._rigid_body import RigidBody
-from lieint_jax.systems._shared.body import Rotating
-from lieint_jax.types import State, pytree, vectors
+from lieint_jax.systems._rigid_body import WithFreeBody
+from lieint_jax.systems._shared.body import Rotating, as_inertia
+from lieint_jax.types import State, argument, pytree, vectors
 from lieint_jax.types.shapes import Scalar, Vector3
 
 __all__ = ["Gyrostat", "gyrostat"]
 
 
 @pytree
-class Gyrostat(Rotating, capabilities.AbstractGyrostat):
-    """H = ½(Π − h_r)·J⁻¹(Π − h_r) with Π = Λᵀπ = JΩ + h_r; Λ̇ = ΛΩ̂, π̇ = 0. Made by `gyrostat`."""
-
-    inertia: Array
-    rotor: Array
-
-    @property
-    def free(self) -> RigidBody:
-        """The body of this inertia without a rotor."""
-        return RigidBody(self.inertia)
-
-    @property
-    def own_momentum(self) -> Vector3:
-        return self.rotor
-
-    def energy(self, state: State) -> Scalar:
-        """½(Π − h_r)·J⁻¹(Π − h_r)."""
-        return vectors.dot(self.body_momentum(state) - self.rotor, self.angular_velocity(state)) / 2
-
-
-def gyrostat(inertia: ArrayLike, rotor: ArrayLike) -> Gyrostat:
+class Gyrostat(WithFreeBody, Rotating, capabilities.AbstractGyrostat):
     """A rigid body with a symmetric rotor, or several, whose momentum in the body is constant.
+
+    H = ½(Π − h_r)·J⁻¹(Π − h_r) with Π = Λᵀπ = JΩ + h_r; Λ̇ = ΛΩ̂, π̇ = 0.
 
     Two kinds of rotor obey these equations. Let a be the unit vector of the axis, I the rotor's moment about it, and J₀
     the inertia of the whole with the rotor locked.
@@ -68,10 +50,20 @@ def gyrostat(inertia: ArrayLike, rotor: ArrayLike) -> Gyrostat:
 
     Source: Kelvin & Tait 1879, Treatise on Natural Philosophy; the dual-spin satellite: Likins 1967, J. Spacecraft 4.
     """
-    J = _checks.inertia(inertia)
-    return Gyrostat(J, _checks.real_array("rotor", rotor, (3,), like=J))
+
+    inertia: Array = argument(converter=as_inertia)
+    rotor: Array = argument(converter=named(_checks.real_array, "rotor", (3,)), like="inertia")
+
+    @property
+    def own_momentum(self) -> Vector3:
+        return self.rotor
+
+    def energy(self, state: State) -> Scalar:
+        """½(Π − h_r)·J⁻¹(Π − h_r)."""
+        return vectors.dot(self.body_momentum(state) - self.rotor, self.angular_velocity(state)) / 2
 
 
+gyrostat = Gyrostat
 PROPERTIES = SystemProperties(
     name="gyrostat",
     models="a rigid body with a rotor of constant momentum",

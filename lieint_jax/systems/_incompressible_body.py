@@ -108,6 +108,7 @@ def _volume(name: str, F: Matrix3) -> None:
         raise ValueError(f"det {name} must be 1 to {allowed:g}, got {det:.9g}; divide {name} by its cube root")
 
 
+incompressible_body = IncompressibleBody
 PROPERTIES = SystemProperties(
     name="incompressible_body",
     models="an elastic body that deforms homogeneously at constant volume",
@@ -125,6 +126,3 @@ def examples() -> dict[str, tuple[IncompressibleBody, State, float]]:
     ball = incompressible_body(np.full(3, 2.0), mooney_rivlin(2000.0, 6.0))
     F = np.array([[1.25, 0.1, 0.0], [0.0, 1.0, 0.2], [0.0, 0.0, 0.8]])
     return {"ball": (ball, ball.state(F, angular_velocity=np.array([0.3, 0.0, 1.0])), 0.02)}
-
-
-incompressible_body = IncompressibleBody

@@ -21,7 +21,7 @@ from lieint_jax.systems._rigid_body import RigidBody
 from lieint_jax.systems._shared.body import TimedBody
 from lieint_jax.systems._torqued_body import TorquedBody, torqued_body
 from lieint_jax.torques import thruster
-from lieint_jax.types import Law, State, callable_pytree, clock, pytree
+from lieint_jax.types import Law, State, callable_pytree, clock, from_fields, pytree
 from lieint_jax.types.shapes import MomentumMap, Scalar, Time, Vector3
 
 __all__ = ["FrozenBody", "InertiaInTime", "TorquedInertiaInTime", "inertia_in_time"]
@@ -34,6 +34,7 @@ class FrozenBody(TimedBody, RigidBody):
     """A free body at one time of an `InertiaInTime`; its states have the time."""
 
 
+@pytree
 class _InTime(AbstractBodyInTime):
     """The states and the energy of a body whose inertia is a function of time."""
 
@@ -94,19 +95,14 @@ class _InTime(AbstractBodyInTime):
 class InertiaInTime(_InTime, AbstractFreeBodyInTime):
     """H = ½ Π·J(t)⁻¹Π: Λ̇ = ΛΩ̂, π̇ = 0. Made by `inertia_in_time`."""
 
-    inertia: _Inertia
-    rate: _Inertia | None
-
     def frozen(self, t: Time) -> FrozenBody:
-        return FrozenBody(self.inertia_at(t))
+        return from_fields(FrozenBody, inertia=self.inertia_at(t))
 
 
 @pytree
 class TorquedInertiaInTime(_InTime, AbstractTorquedBodyInTime):
     """H = ½ Π·J(t)⁻¹Π + ΣE_k: Λ̇ = ΛΩ̂, π̇ = Στ_k. Made by `inertia_in_time` with a torque."""
 
-    inertia: _Inertia
-    rate: _Inertia | None
     torque: Law
 
     def frozen(self, t: Time) -> TorquedBody:

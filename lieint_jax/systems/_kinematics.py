@@ -18,7 +18,7 @@ from lieint_jax.groups import so3
 from lieint_jax.systems._catalogue import SystemProperties
 from lieint_jax.systems._shared.arguments import check_timed, explained, timed
 from lieint_jax.systems._shared.on_group import check_element, group_element
-from lieint_jax.types import Group, State, callable_pytree, pytree, static
+from lieint_jax.types import Group, State, argument, callable_pytree, pytree, static
 from lieint_jax.types.shapes import AlgebraVector, Time
 
 __all__ = ["Kinematics", "SampledRate", "kinematics", "sampled_rate"]
@@ -29,11 +29,37 @@ Kind = Literal["interpolate", "mean"]
 
 @pytree
 class Kinematics(AbstractKinematics):
-    """q̇ = qω̂(t), or q̇ = ω̂(t)q with a rate given in space. Made by `kinematics`."""
+    """A motion with a given rate: the attitude from a gyro (in the body), a spin in a given field (in space).
 
-    rate: Callable[[Array], Array]
+    Args:
+        group: `groups.so3`, a group of the catalogue, or `groups.matrix(basis)`.
+        rate: ω, a smooth function of t with values (d,) in the basis of the algebra, on `groups.so3` the angular
+            velocity; or a log of a gyro, `sampled_rate(…)`. A function with parameters is a `jax.tree_util.Partial`. A
+            method `mean(t, h)`, its mean from t to t + h, is used by steps of order 2.
+        frame: "body" for q̇ = qω̂(t), "space" for q̇ = ω̂(t)q.
+
+    Raises:
+        ValueError: the rate is not such a function; another frame.
+
+    Source: Iserles, Munthe-Kaas, Nørsett & Zanna, Acta Numerica 9 (2000) 215.
+
+    Example:
+        >>> from lieint_jax import groups
+        >>> spin = kinematics(groups.so3, lambda t: jnp.stack([0.0 * t, 0.0 * t, 2.0 * t]))
+        >>> spin.vector_field(spin.state(t=1.0)).q.tolist()
+        [0.0, 0.0, 0.0, 1.0]
+    """
+
     group: Group = static()
+    rate: Callable[[Array], Array] = argument(converter=callable_pytree)
     frame: Frame = static(default="body")
+
+    def check_fields(self) -> None:
+        """Raise ValueError if the rate is no function of time, or the frame is another."""
+        _checks.choice("frame", self.frame, get_args(Frame))
+        if not callable(self.rate):
+            raise ValueError(f"rate must be a function of t, the time, or systems.sampled_rate(…), got {self.rate!r}")
+        _checks.function("rate", self.rate, "t, the time", (self.group.dim,), jnp.zeros(()))
 
     @explained
     def state(self, q: ArrayLike | None = None, *, t: ArrayLike = 0.0) -> State:
@@ -55,34 +81,6 @@ class Kinematics(AbstractKinematics):
         check_element("state.q", self.group, state.q)
         _checks.real_array("state.p", state.p, (0,))
         check_timed(state)
-
-
-def kinematics(group: Group, rate: Callable[[Array], Array], frame: Frame = "body") -> Kinematics:
-    """A motion with a given rate: the attitude from a gyro (in the body), a spin in a given field (in space).
-
-    Args:
-        group: `groups.so3`, a group of the catalogue, or `groups.matrix(basis)`.
-        rate: ω, a smooth function of t with values (d,) in the basis of the algebra, on `groups.so3` the angular
-            velocity; or a log of a gyro, `sampled_rate(…)`. A function with parameters is a `jax.tree_util.Partial`. A
-            method `mean(t, h)`, its mean from t to t + h, is used by steps of order 2.
-        frame: "body" for q̇ = qω̂(t), "space" for q̇ = ω̂(t)q.
-
-    Raises:
-        ValueError: the rate is not such a function; another frame.
-
-    Source: Iserles, Munthe-Kaas, Nørsett & Zanna, Acta Numerica 9 (2000) 215.
-
-    Example:
-        >>> from lieint_jax import groups
-        >>> spin = kinematics(groups.so3, lambda t: jnp.stack([0.0 * t, 0.0 * t, 2.0 * t]))
-        >>> spin.vector_field(spin.state(t=1.0)).q.tolist()
-        [0.0, 0.0, 0.0, 1.0]
-    """
-    _checks.choice("frame", frame, get_args(Frame))
-    if not callable(rate):
-        raise ValueError(f"rate must be a function of t, the time, or systems.sampled_rate(…), got {rate!r}")
-    _checks.function("rate", rate, "t, the time", (group.dim,), jnp.zeros(()))
-    return Kinematics(callable_pytree(rate), group, frame)
 
 
 @pytree
@@ -171,6 +169,7 @@ def _screw(v: Array, t: Array) -> AlgebraVector:
     return v * jnp.cos(t + jnp.arange(6.0, dtype=v.dtype))
 
 
+kinematics = Kinematics
 PROPERTIES = SystemProperties(
     name="kinematics",
     models="a motion on a group with a given rate, such as the `sampled_rate` of a gyro",

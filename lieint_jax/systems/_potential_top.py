@@ -3,21 +3,21 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from typing import Any
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import Array
-from numpy.typing import ArrayLike
 
 from lieint_jax import _checks
 from lieint_jax._checks import concrete
 from lieint_jax.capabilities import AbstractTop
 from lieint_jax.groups import so3
 from lieint_jax.systems._catalogue import SystemProperties
-from lieint_jax.systems._rigid_body import RigidBody
-from lieint_jax.systems._shared.body import Body
-from lieint_jax.types import PotentialWithGradient, State, System, callable_pytree, check_gradient, pytree, vectors
+from lieint_jax.systems._rigid_body import WithFreeBody
+from lieint_jax.systems._shared.body import Body, as_inertia
+from lieint_jax.types import PotentialWithGradient, State, argument, callable_pytree, check_gradient, pytree, vectors
 from lieint_jax.types.shapes import Matrix3, MomentumMap, Scalar, Time, Vector3
 
 __all__ = ["PotentialTop", "QuadraticPotential", "clebsch_integral", "potential_top"]
@@ -47,18 +47,52 @@ class QuadraticPotential(PotentialWithGradient):
         return self.gradient((a + b) / 2, t)
 
 
+def checked_axis(given: Any, like: Array | None = None, of: str = "Λ") -> Array | None:
+    """γ, (3,); None for a potential `of` the rotation matrix."""
+    if given is None:
+        return None
+    axis = _checks.real_array("axis", given, (3,), like=like)
+    if concrete(given) and not np.any(np.asarray(given)):
+        raise ValueError(f"axis must not be zero; without a symmetry axis give axis=None and a potential of {of}")
+    return axis
+
+
 @pytree
-class PotentialTop(Body, AbstractTop):
-    """H = ½ Π·J⁻¹Π + V: Λ̇ = ΛΩ̂, π̇ = γ × ΛDṼ(Γ) with Γ = Λᵀγ (4.2). Made by `potential_top`, `heavy_top`."""
+class PotentialTop(WithFreeBody, Body, AbstractTop):
+    """A rigid body with a fixed point in a potential. Its motion conserves energy, and γ·π if there is an axis γ.
 
-    inertia: Array
-    potential: Callable[[Array], Array]
-    axis: Array | None
+    H = ½ Π·J⁻¹Π + V: Λ̇ = ΛΩ̂, π̇ = γ × ΛDṼ(Γ) with Γ = Λᵀγ (4.2).
 
-    @property
-    def free(self) -> RigidBody:
-        """The free body of this inertia, without the potential."""
-        return RigidBody(self.inertia)
+    Args:
+        inertia: about the fixed point: principal moments (3,) or a symmetric tensor (3, 3).
+        potential: with an axis, Ṽ(Γ) of Γ = Λᵀγ, (3,): any potential symmetric about γ. Without one, V(Λ) of the
+            rotation matrix (3, 3). A smooth JAX function with a scalar value; parameters to be differentiated or
+            batched go into a `jax.tree_util.Partial`. It may provide its discrete gradient D̄, symmetric and with
+            D̄·(b − a) = Ṽ(b) − Ṽ(a), as a method `discrete_gradient(a, b)`, as `QuadraticPotential` does.
+        axis: γ in space, shape (3,), of any length but 0; None for a V(Λ).
+
+    Raises:
+        ValueError: bad inertia; the axis is not a vector, or zero; the potential is not a scalar function.
+
+    Source: Lewis & Simo 1994, (4.2).
+
+    Example:
+        >>> top = potential_top([1.0, 2.0, 3.0], lambda Gamma: Gamma[0] ** 4)
+        >>> state = top.state(angular_velocity=[0.1, 0.2, 1.0])
+    """
+
+    inertia: Array = argument(converter=as_inertia)
+    potential: Callable[[Array], Array] = argument(converter=callable_pytree)
+    axis: Array | None = argument(converter=checked_axis, like="inertia", default=(0.0, 0.0, 1.0))
+
+    def check_fields(self) -> None:
+        """Raise ValueError if the potential is no function of Γ, or without an axis of Λ."""
+        of = "the rotation matrix Λ, shape (3, 3)" if self.axis is None else "Γ = Λᵀγ, shape (3,)"
+        if not callable(self.potential):
+            raise ValueError(f"potential must be a function of {of}, got {self.potential!r}")
+        dtype = self.inertia.dtype
+        _checks.function("potential", self.potential_energy, of, (), jax.ShapeDtypeStruct((4,), dtype))
+        check_gradient(self.potential, dtype)
 
     def Gamma(self, state: State) -> Vector3:
         """Γ = Λᵀγ, the axis in the body, shape (3,)."""
@@ -79,41 +113,6 @@ class PotentialTop(Body, AbstractTop):
         return state.p[:0] if self.axis is None else vectors.dot(self.axis, state.p)[None]
 
 
-def potential_top(
-    inertia: ArrayLike, potential: Callable[[Array], Array], axis: ArrayLike | None = (0.0, 0.0, 1.0)
-) -> PotentialTop:
-    """A rigid body with a fixed point in a potential. Its motion conserves energy, and γ·π if there is an axis γ.
-
-    Args:
-        inertia: about the fixed point: principal moments (3,) or a symmetric tensor (3, 3).
-        potential: with an axis, Ṽ(Γ) of Γ = Λᵀγ, (3,): any potential symmetric about γ. Without one, V(Λ) of the
-            rotation matrix (3, 3). A smooth JAX function with a scalar value; parameters to be differentiated or
-            batched go into a `jax.tree_util.Partial`. It may provide its discrete gradient D̄, symmetric and with
-            D̄·(b − a) = Ṽ(b) − Ṽ(a), as a method `discrete_gradient(a, b)`, as `QuadraticPotential` does.
-        axis: γ in space, shape (3,), of any length but 0; None for a V(Λ).
-
-    Raises:
-        ValueError: bad inertia; the axis is not a vector, or zero; the potential is not a scalar function.
-
-    Source: Lewis & Simo 1994, (4.2).
-
-    Example:
-        >>> top = potential_top([1.0, 2.0, 3.0], lambda Gamma: Gamma[0] ** 4)
-        >>> state = top.state(angular_velocity=[0.1, 0.2, 1.0])
-    """
-    inertia = _checks.inertia(inertia)
-    if axis is not None:
-        given, axis = axis, _checks.real_array("axis", axis, (3,), like=inertia)
-        if concrete(given) and not np.any(np.asarray(given)):
-            raise ValueError("axis must not be zero; without a symmetry axis give axis=None and a potential of Λ")
-    if not callable(potential):
-        raise ValueError(f"potential must be a function of {_argument(axis)}, got {potential!r}")
-    made = PotentialTop(inertia, callable_pytree(potential), axis)
-    _checks.function("potential", made.potential_energy, _argument(axis), (), jax.ShapeDtypeStruct((4,), inertia.dtype))
-    check_gradient(made.potential, inertia.dtype)
-    return made
-
-
 def brun() -> tuple[PotentialTop, State]:
     """Brun 1893, Öfvers. K. Vetensk. Akad.: V = (ε/2)Γ·JΓ, a body in a quadratic field.
 
@@ -130,6 +129,7 @@ def clebsch_integral(top: PotentialTop, state: State, strength: float) -> Scalar
     return vectors.dot(Pi, Pi) - strength * J.det(J.adjugate) * vectors.dot(Gamma, J.solve(Gamma))
 
 
+potential_top = PotentialTop
 PROPERTIES = SystemProperties(
     name="potential_top",
     models="a rigid body with a fixed point, in any potential",
@@ -142,7 +142,7 @@ PROPERTIES = SystemProperties(
 )
 
 
-def examples() -> dict[str, tuple[System, State, float]]:
+def examples() -> dict[str, tuple[PotentialTop, State, float]]:
     """Brun's problem, a potential that has no axis, and one with a deep well."""
     tilted = potential_top([1.0, 2.0, 2.5], _three_wells, None)
     state = tilted.state(so3.exp(jnp.array([0.3, 0.1, 0.7])), angular_velocity=[0.2, 0.5, -0.4])
@@ -162,7 +162,3 @@ def _coulomb(Gamma: Vector3) -> Scalar:
 def _three_wells(R: Matrix3) -> Scalar:
     """A trace and a square of the rotation matrix: the misalignment of two frames, and a preferred axis."""
     return 0.3 * (3 - R[0, 0] - R[1, 1] - R[2, 2]) + 0.4 * R[2, 0] ** 2
-
-
-def _argument(axis: ArrayLike | None) -> str:
-    return "the rotation matrix Λ, shape (3, 3)" if axis is None else "Γ = Λᵀγ, shape (3,)"

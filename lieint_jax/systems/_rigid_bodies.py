@@ -27,7 +27,7 @@ from lieint_jax.groups import so3
 from lieint_jax.systems._catalogue import SystemProperties
 from lieint_jax.systems._rigid_body import RigidBody
 from lieint_jax.systems._shared.arguments import check_counts, explained, timed
-from lieint_jax.types import ChainLaw, PairLaw, State, callable_pytree, clock, pair_forces, pytree, vectors
+from lieint_jax.types import ChainLaw, PairLaw, State, callable_pytree, clock, from_fields, pair_forces, pytree, vectors
 from lieint_jax.types.shapes import Masses, MomentumMap, Poses, Positions, PyTree, Scalar
 
 __all__ = ["DissipativeBodies", "FreeBodies", "RigidBodies", "rigid_bodies"]
@@ -38,9 +38,12 @@ _GIVEN = "the time, positions (N, 3), rotations (N, 3, 3), velocities and angula
 _DIGITS = {"float64": 11, "float32": 4}  # of the least distance, below which a state warns
 
 
+@pytree
 class _Many(AbstractManyBodies):
     """The methods of free and of interacting bodies that create and evaluate states."""
 
+    masses: Array  # (N,)
+    inertias: Array  # (N, 3) or (N, 3, 3)
     _clock = None  # the time and the work of a state that is given none
 
     @explained
@@ -121,24 +124,19 @@ class _Many(AbstractManyBodies):
 class FreeBodies(_Many, AbstractFreeBodies):
     """N free rigid bodies: `RigidBodies.free`."""
 
-    masses: Array  # (N,)
-    inertias: Array  # (N, 3) or (N, 3, 3)
-
     def energy(self, state: State) -> Scalar:
         """The kinetic energy."""
         return self.kinetic_energy(state)
 
     def single_body(self, inertia: Array) -> RigidBody:
         """A free body of this inertia."""
-        return RigidBody(inertia)
+        return from_fields(RigidBody, inertia=inertia)
 
 
 @pytree
 class RigidBodies(_Many, AbstractRigidBodies):
     """H = Σ |p|²/2m + ½ Π·J⁻¹Π + V(x, Λ). Made by `rigid_bodies`."""
 
-    masses: Array
-    inertias: Array
     potential: Callable[[Array, Array], Array]
 
     @property
@@ -179,8 +177,6 @@ class RigidBodies(_Many, AbstractRigidBodies):
 class DissipativeBodies(_Many, AbstractDissipativeBodies):
     """Bodies in a mutual potential with dissipative forces between pairs or given forces. Made by `rigid_bodies`."""
 
-    masses: Array
-    inertias: Array
     potential: Callable[[Array, Array], Array]
     dissipation: Callable[..., PyTree] | ChainLaw | None
     forces: Callable[..., PyTree] | None = None

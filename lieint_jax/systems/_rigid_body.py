@@ -6,36 +6,22 @@ import jax.numpy as jnp
 from jax import Array
 from numpy.typing import ArrayLike
 
-from lieint_jax import _checks, _free_body
+from lieint_jax import _free_body
 from lieint_jax._xla import compiled
 from lieint_jax.capabilities import AbstractFreeBody
 from lieint_jax.groups import so3
 from lieint_jax.systems._catalogue import SystemProperties
-from lieint_jax.systems._shared.body import Body
-from lieint_jax.types import State, pytree, vectors
+from lieint_jax.systems._shared.body import Body, as_inertia
+from lieint_jax.types import State, argument, from_fields, pytree, vectors
 
 __all__ = ["RigidBody", "rigid_body", "tumbling_state"]
 
 
 @pytree
 class RigidBody(Body, AbstractFreeBody):
-    """H = ½ Π·J⁻¹Π with Π = Λᵀπ (2.11); Λ̇ = ΛΩ̂, π̇ = 0 (2.12). Made by `rigid_body`."""
-
-    inertia: Array
-
-    def solution(self, state: State, t: Array | float) -> State:
-        """The exact state after a time t of any size and sign, in Jacobi's elliptic functions; π is equal bit for bit.
-
-        For many times, use `jax.vmap(body.solution, (None, 0))`. The formulas are in `_free_body`.
-        """
-        return State(_attitude(self.inertia, state.q, state.p, t)[0], state.p)
-
-
-_attitude = compiled(_free_body.attitude)
-
-
-def rigid_body(inertia: ArrayLike) -> RigidBody:
     """A free rigid body. Its motion conserves energy, the spatial momentum π, and |Π|².
+
+    H = ½ Π·J⁻¹Π with Π = Λᵀπ (2.11); Λ̇ = ΛΩ̂, π̇ = 0 (2.12).
 
     Args:
         inertia: principal moments, shape (3,), or a symmetric tensor in body axes, shape (3, 3), in any unit: the
@@ -53,7 +39,29 @@ def rigid_body(inertia: ArrayLike) -> RigidBody:
         >>> float(body.energy(state))
         1.52
     """
-    return RigidBody(_checks.inertia(inertia))
+
+    inertia: Array = argument(converter=as_inertia)
+
+    def solution(self, state: State, t: Array | float) -> State:
+        """The exact state after a time t of any size and sign, in Jacobi's elliptic functions; π is equal bit for bit.
+
+        For many times, use `jax.vmap(body.solution, (None, 0))`. The formulas are in `_free_body`.
+        """
+        return State(_attitude(self.inertia, state.q, state.p, t)[0], state.p)
+
+
+class WithFreeBody:
+    """A body with something more than its inertia."""
+
+    inertia: Array
+
+    @property
+    def free(self) -> RigidBody:
+        """The free body of this inertia, without the potential or the rotor."""
+        return from_fields(RigidBody, inertia=self.inertia)
+
+
+_attitude = compiled(_free_body.attitude)
 
 
 def tumbling_state(
@@ -91,7 +99,7 @@ def tumbling_state(
     """
     J, P_phi, P_psi, along = (jnp.asarray(x) for x in (moments, precession, rotation, pole))
     unit, angle = _free_body.momentum_of_ratio(J, P_psi / P_phi, long_axis), jnp.asarray(phi)
-    size = RigidBody(J).periods(State(jnp.asarray([1.0, 0, 0, 0]), unit)).precession / P_phi
+    size = _free_body.periods(J, unit).precession / P_phi
     Pi = _free_body.momentum_at_phase(J, unit, jnp.asarray(psi))
     in_body = _orthonormal(Pi / vectors.norm(Pi), jnp.asarray([1.0, 0, 0]))
     x, y, z = _orthonormal(along, jnp.asarray(toward))
@@ -108,6 +116,7 @@ def _orthonormal(along: Array, near: Array) -> Array:
     return jnp.stack([along, across, jnp.stack(vectors.cross(along, across))])
 
 
+rigid_body = RigidBody
 PROPERTIES = SystemProperties(
     name="rigid_body",
     models="a free rigid body",

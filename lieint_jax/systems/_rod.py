@@ -275,8 +275,7 @@ def rod(
     given = None if loads is None and forces is None else _loads(loads or {}, forces, moving, n)
     made: Any = rigid_bodies(m, J, held(potential), law, forces=given)  # pyright: ignore
     kind = ElasticRod if isinstance(made, RigidBodies) else DissipativeRod
-    fields = {field.name: getattr(made, field.name) for field in dataclasses.fields(made)}
-    return kind(**fields, natural=whole[moving])
+    return kind(**vars(made), natural=whole[moving])
 
 
 PROPERTIES = SystemProperties(

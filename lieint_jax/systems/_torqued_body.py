@@ -182,8 +182,9 @@ def _check_torque(body: TorquedBody) -> None:
         except (TypeError, IndexError, ValueError, AttributeError) as error:
             raise ValueError(f"torque fails as a function of t (), q (4,) and omega (3,): {error}") from error
         kinds = jnp.floating, jnp.integer
-        if getattr(found, "shape", None) != (3,) or not any(jnp.issubdtype(found.dtype, kind) for kind in kinds):
-            given = f"shape {found.shape} and dtype {found.dtype}" if hasattr(found, "shape") else f"{found!r}"
+        array = isinstance(found, jax.ShapeDtypeStruct)
+        if not array or found.shape != (3,) or not any(jnp.issubdtype(found.dtype, kind) for kind in kinds):
+            given = f"shape {found.shape} and dtype {found.dtype}" if array else f"{found!r}"
             raise ValueError(f"torque must return an array of real numbers of shape (3,), got {given}")
 
 

@@ -12,7 +12,7 @@ import numpy as np
 
 from lieint_jax._checks import dtype_of, name_of
 
-__all__ = ["Partitioned", "argument", "callable_pytree", "pytree", "static", "with_fields"]
+__all__ = ["Partitioned", "argument", "callable_pytree", "from_fields", "pytree", "static", "with_fields"]
 
 _T = TypeVar("_T")
 
@@ -22,9 +22,19 @@ def static(*, converter: Callable[[Any], Any] | None = None, **options: Any) -> 
     return dataclasses.field(metadata={"static": True, "converter": converter}, **options)
 
 
-def argument(*, converter: Callable[[Any], Any], **options: Any) -> Any:
-    """A dataclass field whose value the constructor converts, and so checks; JAX rebuilds a pytree without it."""
-    return dataclasses.field(metadata={"converter": converter}, **options)
+def argument(*, converter: Callable[..., Any], like: str | None = None, **options: Any) -> Any:
+    """A dataclass field whose value the constructor converts, and so checks; JAX rebuilds a pytree without it.
+
+    With `like`, the name of a field before it, `converter(value, like=…)` is given that one's converted value too.
+    """
+    return dataclasses.field(metadata={"converter": converter, "like": like}, **options)
+
+
+def from_fields(cls: type[_T], /, **fields: Any) -> _T:
+    """An object with these fields as they are, as JAX rebuilds a pytree: converted before, or those of a batch."""
+    x = object.__new__(cls)
+    vars(x).update(fields)
+    return x
 
 
 @dataclass_transform(frozen_default=True, eq_default=False, field_specifiers=(dataclasses.field, argument, static))
@@ -50,9 +60,7 @@ def pytree(cls: type[_T]) -> type[_T]:
         return list(zip(keys, values, strict=True)), structure
 
     def rebuilt(structure: tuple[object, ...], values: Iterable[object]) -> object:
-        x = object.__new__(made)
-        vars(x).update(zip((*fixed, *names), (*structure[1:], *values), strict=True))
-        return x
+        return from_fields(made, **dict(zip((*fixed, *names), (*structure[1:], *values), strict=True)))
 
     jax.tree_util.register_pytree_with_keys(made, leaves_with_keys, rebuilt, leaves)
     return made
@@ -64,8 +72,10 @@ def _convert(made: Any) -> None:
     A method `check_fields` may then compare them, and return the values of fields that follow from others, by name.
     """
     for x in dataclasses.fields(made):
-        if x.metadata.get("converter") is not None:
-            vars(made)[x.name] = x.metadata["converter"](getattr(made, x.name))
+        convert, like = x.metadata.get("converter"), x.metadata.get("like")
+        if convert is not None:
+            fields = vars(made)
+            fields[x.name] = convert(fields[x.name], **({} if like is None else {"like": fields[like]}))
     if hasattr(made, "check_fields"):
         vars(made).update(made.check_fields() or {})
 
@@ -84,7 +94,7 @@ def callable_pytree(function: Callable[..., Any]) -> Callable[..., Any]:
     activation, the arrays can be differentiated and batched, and the rest is part of the structure.
     """
     leaves, structure = jax.tree_util.tree_flatten(function)
-    if all(_is_number(leaf) for leaf in leaves):
+    if not callable(function) or all(_is_number(leaf) for leaf in leaves):
         return function
     if jax.tree_util.all_leaves([function]):
         return jax.tree_util.Partial(function)

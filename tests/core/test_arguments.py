@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 import lieint_jax as li
-from lieint_jax import torques
+from lieint_jax import systems, torques
 from lieint_jax.types import argument, pytree, static, with_fields
 
 
@@ -81,3 +81,24 @@ def test_the_name_that_is_called_is_the_class():
     assert (li.orbits.atmosphere, li.tides.constant_lag) == (li.orbits.Air, li.tides.LaggingTides)
     assert li.torques.kane_damper(1.0, 0.5).label == "kane_damper"
     assert torques.hysteresis([1.0, 0, 0], 1.0, 1.0, 0.1, field=[0.0, 0, 1]).label == "hysteresis"
+    assert systems.rigid_body is systems.RigidBody
+    assert isinstance(systems.gyrostat([1.0, 2.0, 2.5], [0.1, 0.0, 0.0]), systems.gyrostat)
+    assert li.groups.matrix is li.groups.MatrixGroup
+
+
+def test_a_converter_is_given_the_field_before_it():
+    J = jnp.array([1.0, 2.0, 2.5], jnp.float32)
+    made = systems.gyrostat(J, [0.1, 0.0, 0.0]).rotor, systems.damped_body(J, 0.1).friction, top(J).axis
+    assert [x.dtype for x in made] == [jnp.float32] * 3
+
+
+def test_the_free_body_of_a_batch_is_a_batch():
+    """It is made of fields that are converted already: the constructor refuses the inertias of a batch."""
+    J = jnp.array([[1.0, 2.0, 2.5], [1.0, 1.5, 1.8]])
+    np.testing.assert_array_equal(jax.vmap(top)(J).free.inertia, J)
+    with pytest.raises(ValueError, match=r"use jax\.vmap for batches"):
+        systems.RigidBody(J)
+
+
+def top(J):
+    return systems.potential_top(J, jnp.sum)

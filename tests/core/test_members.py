@@ -23,7 +23,7 @@ OFF = {"energy_error": energy_error, "momentum_error": momentum_error, "constrai
 def batch(members, full=False):
     """Free bodies of their own inertia, each turning about its z axis: their systems, their run, and their energies."""
     J = (SPREAD**2).sum(1, keepdims=True)[:members] - SPREAD[:members] ** 2
-    bodies = li.systems.RigidBody(jnp.asarray(J if not full else J[:, :, None] * np.eye(3)))  # as jax.vmap makes them
+    bodies = jax.vmap(li.systems.RigidBody)(jnp.asarray(J if not full else J[:, :, None] * np.eye(3)))
     rates = np.stack([0 * J[:, 0], 0 * J[:, 0], RATES[:members, 2]], axis=1)
     half = T[:, None] * rates[:, 2] / 2
     q = np.stack([np.cos(half), 0 * half, 0 * half, np.sin(half)], axis=-1)
@@ -49,7 +49,7 @@ def test_each_member_is_measured_with_its_own_system(members, full, axis):
 def test_a_square_inertia_is_one_tensor_or_three_sets_of_moments_by_its_values(wrap):
     """Moments in rows are no tensor: they are not symmetric, or (of equal rows of equal moments) singular."""
     bodies, run, *_ = batch(3)
-    spheres = li.systems.RigidBody(jnp.full((3, 3), 2.0))
+    spheres = jax.vmap(li.systems.RigidBody)(jnp.full((3, 3), 2.0))
     tensor = li.systems.rigid_body(np.diag([1.0, 2.0, 2.5]) + 0.1)
     faster = run.state._replace(p=run.state.p * np.arange(1.0, 4.0)[:, None, None])  # so that the energy changes
     run = run._replace(state=faster)

@@ -55,9 +55,9 @@ def test_an_ensemble_prepares_every_member_and_every_inertia():
     J = np.array([[1.0, 2.0, 3.0], [1.0, 1.0, 2.0]])
     states = [moving(*pair) for pair in zip(J, ([0.3, 0.6, 0.8], [1, 0, 0.2]), strict=True)]
     states = jax.tree.map(lambda *x: jnp.array(np.stack(x)), *states)
-    J = jnp.array(J)
-    found = ensemble.run(so3_explicit(RigidBody(J)), states, 0.2, 100, step_axis=0, progress=False)
-    expected = ensemble.run(so3_midpoint(RigidBody(J)), states, 0.2, 100, step_axis=0, progress=False)
+    bodies = jax.vmap(RigidBody)(J)
+    found = ensemble.run(so3_explicit(bodies), states, 0.2, 100, step_axis=0, progress=False)
+    expected = ensemble.run(so3_midpoint(bodies), states, 0.2, 100, step_axis=0, progress=False)
     assert np.abs(np.asarray(found.state.q) - expected.state.q).max() < 1e-13
 
 

@@ -20,6 +20,8 @@ from lieint_jax.systems._shared.arguments import check_timed, explained, timed
 from lieint_jax.types import State, vectors
 from lieint_jax.types.shapes import MomentumMap, Quaternion, Scalar, Vector3
 
+as_inertia = partial(_checks.inertia, stacklevel=4)  # a field's converter: it warns where the class is called
+
 
 class Rotating(AbstractRotatingBody):
     """A body whose states are made from an attitude and a motion."""

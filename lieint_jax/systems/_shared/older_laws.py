@@ -31,7 +31,10 @@ class OlderLaw(Law):
 
     @property
     def key(self) -> str | None:  # pyright: ignore[reportIncompatibleVariableOverride]
-        return getattr(self.law, "key", None)
+        match self.law:
+            case object(key=key):
+                return key
+        return None
 
     @property
     def internal(self) -> bool:  # pyright: ignore[reportIncompatibleVariableOverride]
@@ -43,23 +46,25 @@ class OlderLaw(Law):
 
     def mean(self, rotation: Rotation, inner: PyTree) -> tuple[Array, PyTree]:
         law, velocity = self._during(rotation.dt, inner), rotation.velocity(self.frame)
-        if hasattr(law, "mean"):
-            r = rotation
-            torque = law.mean(r.t, r.q_n, r.q_next, r.h, r.kappa, velocity)
-        else:
-            torque = law(rotation.t, rotation.q_mid, velocity)
+        match law:
+            case object(mean=mean):
+                r = rotation
+                torque = mean(r.t, r.q_n, r.q_next, r.h, r.kappa, velocity)
+            case _:
+                torque = law(rotation.t, rotation.q_mid, velocity)
         return torque, None if inner is None else inner - rotation.dt * jnp.asarray(torque)
 
     def energy(self, t: Array, q: Array, inner: PyTree) -> Array:
-        energy = jnp.zeros((), q.dtype)
-        if hasattr(self.law, "potential"):
-            energy = energy + self.law.potential(q)
-        return energy if inner is None else energy + self.law.inner_energy(inner)
+        energy = jnp.zeros((), q.dtype) if inner is None else self.law.inner_energy(inner)
+        match self.law:
+            case object(potential=potential):
+                energy = energy + potential(q)
+        return energy
 
     def work(self, rotation: Rotation, torque: Array, inner: PyTree, after: PyTree) -> Array:
-        law = self._during(rotation.dt, inner)
-        if hasattr(law, "power"):
-            return rotation.dt * law.power(rotation.t, rotation.q_n, rotation.velocity(self.frame))
+        match self._during(rotation.dt, inner):
+            case object(power=power):
+                return rotation.dt * power(rotation.t, rotation.q_n, rotation.velocity(self.frame))
         return super().work(rotation, torque, inner, after)
 
     def start(self, now: Rotation) -> Array | None:
@@ -69,5 +74,7 @@ class OlderLaw(Law):
         return inner if self.internal else jnp.zeros_like(q[1:])
 
     def _during(self, dt: Array, inner: PyTree) -> Any:
-        extra = None if inner is None else {self.key: inner}
-        return self.law.during(dt, extra) if hasattr(self.law, "during") else self.law
+        match self.law:
+            case object(during=during):
+                return during(dt, None if inner is None else {self.key: inner})
+        return self.law
