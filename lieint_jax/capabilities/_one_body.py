@@ -116,7 +116,7 @@ class AbstractTorquedBodyInTime(AbstractBodyInTime):
     """The same with laws of torque: q̇ = ½ q Ω, π̇ = Στ_k.
 
     Attributes:
-        torque: a law of torque, or the `Total` of several laws.
+        torque: a law of torque, or the `LawSum` of several laws.
     """
 
     noun = "bodies with a torque whose inertia changes (systems.inertia_in_time)"
@@ -254,7 +254,7 @@ class AbstractTorquedBody(AbstractRotatingBody):
 
     Attributes:
         inertia: J, as in `AbstractFreeBody`.
-        torque: a law of torque, or the `Total` of several laws.
+        torque: a law of torque, or the `LawSum` of several laws.
     """
 
     noun = "rigid bodies with a torque (systems.torqued_body)"

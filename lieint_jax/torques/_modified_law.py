@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike
 from lieint_jax import _checks
 from lieint_jax._checks import concrete, named, positive
 from lieint_jax.torques._arguments import cut
-from lieint_jax.types import Law, Rotation, Total, argument, as_law, pytree
+from lieint_jax.types import Law, LawSum, Rotation, argument, as_law, pytree
 from lieint_jax.types.shapes import PyTree
 
 __all__ = ["ModifiedLaw", "Saturated", "Windowed", "saturated", "windowed"]
@@ -20,7 +20,7 @@ __all__ = ["ModifiedLaw", "Saturated", "Windowed", "saturated", "windowed"]
 def without_state(law: Any) -> Law:
     """One law without an internal state, whose torque may be cut or switched off."""
     law = as_law(law)
-    if isinstance(law, Total):
+    if isinstance(law, LawSum):
         raise ValueError("a sum of laws cannot be cut or switched off: do so to each of its laws, and add the results")
     if law.key is not None:
         raise ValueError(

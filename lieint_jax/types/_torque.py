@@ -16,7 +16,7 @@ from lieint_jax._deprecated import old_calls
 from lieint_jax.types._pytree import callable_pytree, pytree, static
 from lieint_jax.types.shapes import PyTree
 
-__all__ = ["Function", "Law", "Rotation", "Total", "as_law", "instant", "labels", "laws_of", "parts", "total"]
+__all__ = ["Function", "Law", "LawSum", "Rotation", "as_law", "instant", "labels", "laws_of", "parts", "total"]
 
 
 class Rotation(NamedTuple):
@@ -152,10 +152,10 @@ class Law(abc.ABC):
             raise ValueError(f'{type(self).__name__} depends on an internal state, State.extra["{key}"]')
         return self.mean(Rotation.at_instant(t, q, velocity, velocity), None)[0]
 
-    def __add__(self, other: Any) -> Total:
+    def __add__(self, other: Any) -> LawSum:
         return total((self, other))
 
-    def __radd__(self, other: Any) -> Total:
+    def __radd__(self, other: Any) -> LawSum:
         return total((other, self))
 
 
@@ -179,7 +179,7 @@ class Function(Law):
 
 
 @pytree
-class Total(Law):
+class LawSum(Law):
     """A sum of laws, made by `torques.total` or `+`; its internal states are those of the laws, by their keys."""
 
     laws: tuple[Law, ...]
@@ -192,7 +192,7 @@ class Total(Law):
         raise NotImplementedError("a sum of laws has torques in several axes: call each of its `laws`")
 
 
-def total(laws: Any) -> Total:
+def total(laws: Any) -> LawSum:
     """The sum of laws of torque: all of them act on the body, and the work of each is counted.
 
     Args:
@@ -207,7 +207,7 @@ def total(laws: Any) -> Total:
         raise ValueError(
             f'two laws have the same key "{twice[0]}" for their internal states: give one of them another key=…'
         )
-    return Total(flat)
+    return LawSum(flat)
 
 
 def laws_of(system: Any) -> tuple[Law, ...]:
@@ -224,7 +224,7 @@ def labels(system: Any) -> list[str]:
 
 def parts(law: Any) -> tuple[Law, ...]:
     """The terms of a sum of laws; a single law or function is its only term."""
-    if isinstance(law, Total):
+    if isinstance(law, LawSum):
         return law.laws
     return (as_law(law),)
 

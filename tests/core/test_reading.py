@@ -113,6 +113,7 @@ def test_a_custom_function_is_requested_by_its_name():
         ("lieint_jax.systems._heavy_top.Linear", li.systems.LinearPotential),  # by 0.3.0, as all below
         ("lieint_jax.torques._older.OlderLaw", OlderLaw),
         ("lieint_jax.schemes._shared.free_bodies.FreeFlight", li.schemes.FreeFlight),
+        ("lieint_jax.types.Total", li.types.LawSum),
     ],
 )
 def test_names_that_earlier_versions_stored_are_found(stored, present):

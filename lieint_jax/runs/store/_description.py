@@ -34,6 +34,7 @@ _RENAMED = {  # since version 0.2 or 0.3.0
     "Quadratic": "QuadraticPotential",
     "SpinUp": "SpinUpMotor",
     "Sum": "SumPotential",
+    "Total": "LawSum",
     "Uniform": "UniformGravity",
 }
 
