@@ -13,14 +13,17 @@ from lieint_jax.runs._adjoints.reversible import (
     round_trip_error,
 )
 from lieint_jax.runs._adjoints.transition import Ellipse, Transition, transition
-from lieint_jax.runs._execute import compute
+from lieint_jax.runs._host.execute import compute
+from lieint_jax.runs._host.make_run import open_run, run, untransformed
+from lieint_jax.runs._host.memory import peak_memory
+from lieint_jax.runs._host.run import Run
+from lieint_jax.runs._host.submit import Executor, submit
 from lieint_jax.runs._job import processes
 from lieint_jax.runs._job.devices import count_cores, first_devices, want_devices
 from lieint_jax.runs._job.job import MakeStates, Summary
 from lieint_jax.runs._job.loop import Reduction, compiler_options, energy
 from lieint_jax.runs._job.over_members import over_members
 from lieint_jax.runs._job.part_of_task import part_of_task, part_of_text
-from lieint_jax.runs._make_run import open_run, run, untransformed
 from lieint_jax.runs._march.clock import (
     UniformClock,
     at_time,
@@ -46,9 +49,6 @@ from lieint_jax.runs._march.integrate import (
     trajectory,
 )
 from lieint_jax.runs._march.interpolate import interpolate
-from lieint_jax.runs._memory import peak_memory
-from lieint_jax.runs._run import Run
-from lieint_jax.runs._submit import Executor, submit
 
 __all__ = [
     "Adjoint",

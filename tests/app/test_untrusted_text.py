@@ -187,7 +187,7 @@ def test_the_application_prints_in_one_place_and_one_module_reads_toml():
                 prints.add(str(path.relative_to(root)))
             if isinstance(node, ast.Import) and "tomllib" in {alias.name for alias in node.names}:
                 readers.add(str(path.relative_to(root)))
-    assert prints == {"app/printer.py", "runs/_job/processes.py", "runs/_execute.py"}  # the last: a constant
+    assert prints == {"app/printer.py", "runs/_job/processes.py", "runs/_host/execute.py"}  # the last: a constant
     assert readers == {"runs/_storage/untrusted.py"}
 
 

@@ -14,7 +14,8 @@ import numpy as np
 from lieint_jax import _checks, ensemble
 from lieint_jax._xla import compiled
 from lieint_jax.native import _kernel, _machine, _march_code, _traced
-from lieint_jax.runs import _execute, _run
+from lieint_jax.runs._host import execute as _execute
+from lieint_jax.runs._host import run as _run
 from lieint_jax.runs._job import devices as _devices
 from lieint_jax.runs._job import engine as _engine
 from lieint_jax.runs._job import facts as _facts

@@ -16,13 +16,13 @@ from numpy.typing import ArrayLike
 
 from lieint_jax import _checks, dates
 from lieint_jax._free_body import Periods
-from lieint_jax.runs._execute import compute
+from lieint_jax.runs._host.execute import compute
+from lieint_jax.runs._host.save import write
 from lieint_jax.runs._job.facts import Facts, compile_map, dates_of, defect, from_start, lines, momentum, periods, plain
 from lieint_jax.runs._job.job import MemberSummary, Summary, member_of, saves_of_batch, with_member_axis
 from lieint_jax.runs._job.loop import energy
 from lieint_jax.runs._job.make_job import checked_job, is_batch
 from lieint_jax.runs._march.interpolate import interpolate, interpolate_members
-from lieint_jax.runs._save import write
 from lieint_jax.runs._storage.leaves import Saves
 from lieint_jax.runs._storage.storage import StoreOptions
 from lieint_jax.types import State, Step, StepInfo, System, Trajectory, callable_pytree, labeled, pytree, static

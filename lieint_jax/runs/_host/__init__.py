@@ -1,0 +1,1 @@
+"""Runs on the host: `Run`, and what makes, extends, saves and submits one."""
