@@ -37,13 +37,12 @@ import jax.numpy as jnp
 from jax import Array, lax
 from jax.typing import ArrayLike
 
-from lieint_jax import _checks
-from lieint_jax._checks import concrete
+from lieint_jax._checks import concrete, count, fraction, named
 from lieint_jax._numerics import small_linalg as la
 from lieint_jax._numerics.equation import ImplicitEquation
 from lieint_jax.capabilities import AbstractElasticBody, AbstractIncompressibleBody, AbstractViscousBody
 from lieint_jax.schemes._catalogue import SchemeProperties
-from lieint_jax.types import State, Step, StepInfo, StoredEnergy, pytree, static
+from lieint_jax.types import State, Step, StepInfo, StoredEnergy, argument, pytree, static
 from lieint_jax.types.vectors import Matrix, Symmetric, Vector, dot, matrix, max_abs, mean_cofactor, symmetric
 
 __all__ = ["Additive", "additive"]
@@ -53,52 +52,19 @@ _SHRINK = 0.1  # det G may fall to this part of itself in one Newton correction
 _FRACTIONS = (1 / 16, 1 / 8, 1 / 4, 1 / 2, 1.0)  # of a Newton correction that are tried
 
 
+PROPERTIES = SchemeProperties(
+    name="additive",
+    systems="elastic bodies",
+    conserves=("momentum", "energy (rule average or energy)", "form (rule symplectic)", "volume (incompressible)"),
+    limit="half a radian of the fastest vibration",
+    aliases=("energy–momentum rules of pseudo-rigid bodies",),
+    source="Lewis & Simo 1994, Results 15 and 16, (6.15) to (6.17)",
+    accepts=(AbstractElasticBody, AbstractViscousBody, AbstractIncompressibleBody),
+)
+
+
 @pytree
 class Additive(Step):
-    """The step made by `additive`."""
-
-    system: AbstractElasticBody | AbstractViscousBody | AbstractIncompressibleBody
-    alpha: Array
-    rule: Rule = static()
-    iterations: int = static()
-    order: float = static(default=2)
-    symmetric: bool = static(default=True)
-
-    @property
-    def name(self) -> str:
-        return f"additive[{self.rule}]"
-
-    @property
-    def velocity_weight(self) -> Array:  # pyright: ignore[reportIncompatibleVariableOverride]
-        """β = 1 − α (6.9)."""
-        return 1 - self.alpha
-
-    def advance(self, state: State, dt: ArrayLike) -> tuple[State, StepInfo]:
-        dt = jnp.asarray(dt)
-        equation = _Equation.from_state(self, state, dt)
-        W, size = equation.W, equation.size
-        x, info = equation.solve(
-            equation.guess(), self.iterations, done=equation.is_converged, length=_displacement, first=size
-        )
-        middle, end, D, S = equation.evaluate(x)
-        moved = state._replace(q=end.array, p=(equation.P - dt * (middle @ S)).array)
-        if isinstance(W, _Viscous) and state.work is not None:
-            moved = moved._replace(work=state.work - W.rate * D.inner(D) / 2)
-        return moved, info
-
-    def advice(self, state: State, dt: ArrayLike) -> str:
-        return (
-            f"{self.name} does not converge within {self.iterations} iterations at dt = {dt}: use a smaller dt, more "
-            "iterations, or the rule 'average', which has no second equation to solve"
-        )
-
-
-def additive(
-    system: AbstractElasticBody | AbstractViscousBody | AbstractIncompressibleBody,
-    rule: Rule = "average",
-    alpha: ArrayLike = 0.5,
-    iterations: int = 25,
-) -> Additive:
     """The energy–momentum and symplectic schemes of Section 6.2 for a pseudo-rigid body, which differ in the stress S.
 
     | rule | energy | momentum rot[PFᵀ] | symplectic form | order |
@@ -140,32 +106,57 @@ def additive(
     Source: Lewis & Simo 1994, Results 15 and 16; "average": this package, after Gonzalez 2000, Comput. Methods Appl.
     Mech. Engrg. 190, and McLachlan, Quispel & Robidoux 1999.
     """
-    PROPERTIES.check(system)
-    volume, viscous = isinstance(system, AbstractIncompressibleBody), isinstance(system, AbstractViscousBody)
-    if rule not in get_args(Rule):
-        raise ValueError(f"rule must be one of {', '.join(get_args(Rule))}, got {rule!r}")
-    if volume != (rule == "incompressible"):
-        kept = "incompressible_body with the rule 'incompressible', pseudo_rigid_body with the others"
-        raise ValueError(f"additive integrates {kept}, got {type(system).__name__} with {rule!r}")
-    if viscous and rule != "average":
-        raise ValueError(f"a viscous body has the rule 'average', whose loss is exact, got {rule!r}")
-    alpha = _checks.fraction("alpha", alpha)
-    middle = not concrete(alpha) or float(alpha) == 0.5
-    if not middle and rule != "symplectic":
-        raise ValueError(f"the rule {rule!r} conserves energy for alpha = 1/2 only, got {alpha}")
-    order = 2 if middle else 1
-    return Additive(system, alpha, rule, _checks.count("iterations", iterations, 1), order, middle)
 
+    system: AbstractElasticBody | AbstractViscousBody | AbstractIncompressibleBody = argument(
+        converter=PROPERTIES.check
+    )
+    rule: Rule = static(default="average")
+    alpha: Array = argument(converter=named(fraction, "alpha"), default=0.5)
+    iterations: int = static(converter=named(count, "iterations", 1), default=25)
+    order: float = static(init=False)
+    symmetric: bool = static(init=False)
 
-PROPERTIES = SchemeProperties(
-    name="additive",
-    systems="elastic bodies",
-    conserves=("momentum", "energy (rule average or energy)", "form (rule symplectic)", "volume (incompressible)"),
-    limit="half a radian of the fastest vibration",
-    aliases=("energy–momentum rules of pseudo-rigid bodies",),
-    source="Lewis & Simo 1994, Results 15 and 16, (6.15) to (6.17)",
-    accepts=(AbstractElasticBody, AbstractViscousBody, AbstractIncompressibleBody),
-)
+    def check_fields(self) -> dict[str, float]:
+        system, rule = self.system, self.rule
+        if rule not in get_args(Rule):
+            raise ValueError(f"rule must be one of {', '.join(get_args(Rule))}, got {rule!r}")
+        if isinstance(system, AbstractIncompressibleBody) != (rule == "incompressible"):
+            kept = "incompressible_body with the rule 'incompressible', pseudo_rigid_body with the others"
+            raise ValueError(f"additive integrates {kept}, got {type(system).__name__} with {rule!r}")
+        if isinstance(system, AbstractViscousBody) and rule != "average":
+            raise ValueError(f"a viscous body has the rule 'average', whose loss is exact, got {rule!r}")
+        middle = not concrete(self.alpha) or float(self.alpha) == 0.5
+        if not middle and rule != "symplectic":
+            raise ValueError(f"the rule {rule!r} conserves energy for alpha = 1/2 only, got {self.alpha}")
+        return {"order": 2 if middle else 1, "symmetric": middle}
+
+    @property
+    def name(self) -> str:
+        return f"additive[{self.rule}]"
+
+    @property
+    def velocity_weight(self) -> Array:  # pyright: ignore[reportIncompatibleVariableOverride]
+        """β = 1 − α (6.9)."""
+        return 1 - self.alpha
+
+    def advance(self, state: State, dt: ArrayLike) -> tuple[State, StepInfo]:
+        dt = jnp.asarray(dt)
+        equation = _Equation.from_state(self, state, dt)
+        W, size = equation.W, equation.size
+        x, info = equation.solve(
+            equation.guess(), self.iterations, done=equation.is_converged, length=_displacement, first=size
+        )
+        middle, end, D, S = equation.evaluate(x)
+        moved = state._replace(q=end.array, p=(equation.P - dt * (middle @ S)).array)
+        if isinstance(W, _Viscous) and state.work is not None:
+            moved = moved._replace(work=state.work - W.rate * D.inner(D) / 2)
+        return moved, info
+
+    def advice(self, state: State, dt: ArrayLike) -> str:
+        return (
+            f"{self.name} does not converge within {self.iterations} iterations at dt = {dt}: use a smaller dt, more "
+            "iterations, or the rule 'average', which has no second equation to solve"
+        )
 
 
 @PROPERTIES.by_name
@@ -410,3 +401,6 @@ def _matrix(u: Array) -> Matrix:
 
 def _entries(A: Matrix) -> list[Array]:
     return [x for row in A for x in row]
+
+
+additive = Additive

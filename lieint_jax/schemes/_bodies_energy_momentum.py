@@ -33,15 +33,14 @@ import numpy as np
 from jax import Array, lax
 from jax.typing import ArrayLike
 
-from lieint_jax import _checks
-from lieint_jax._checks import at_once, concrete
+from lieint_jax._checks import at_once, choice, concrete, count, named
 from lieint_jax._numerics.equation import ChainEquation, FixedPointEquation
 from lieint_jax._xla import compiled
 from lieint_jax.capabilities import AbstractDissipativeBodies, AbstractRigidBodies
 from lieint_jax.groups import so3
 from lieint_jax.potentials import Potential, given_poses, invariant_form, is_chain, torques
 from lieint_jax.schemes._catalogue import SchemeProperties
-from lieint_jax.types import State, Step, StepInfo, pytree, static
+from lieint_jax.types import State, Step, StepInfo, argument, pytree, static
 from lieint_jax.types.vectors import cross, matrix, symmetric, unit_trace, vector
 
 __all__ = ["BodiesEnergyMomentum", "bodies_energy_momentum"]
@@ -54,45 +53,19 @@ class _Ends(NamedTuple):
     turn: Array
 
 
+PROPERTIES = SchemeProperties(
+    name="bodies_energy_momentum",
+    systems="several bodies, with dissipation or given forces too",
+    conserves=("energy", "energy less work", "momentum"),
+    limit="|ΔtΩ| of 2 to 4 for the Cayley κ",
+    aliases=("energy–momentum method",),
+    source="Lewis & Simo 1994, Results 1 to 3, for several bodies: this package",
+    accepts=(AbstractRigidBodies, AbstractDissipativeBodies),
+)
+
+
 @pytree
 class BodiesEnergyMomentum(Step):
-    """The step made by `bodies_energy_momentum`."""
-
-    system: AbstractRigidBodies | AbstractDissipativeBodies
-    iterations: int = static()
-    solver: str = static(default="fixed_point")
-    order: float = static(default=2)
-    symmetric: bool = static(default=True)
-
-    def advance(self, state: State, dt: ArrayLike) -> tuple[State, StepInfo]:
-        equation = _Equation(self.system, state, jnp.asarray(dt, state.p.dtype))
-        double, given = jnp.finfo(jnp.float64).eps, jnp.finfo(state.p.dtype).eps
-        most = math.ceil(self.iterations * math.log(given) / math.log(double))  # for the same contraction per iteration
-        if self.solver == "newton":
-            ends, info = _Chain(equation).ends(most)
-        else:
-            ends, info = equation.solve(equation.guess(), most, 2, most)
-        force, work = equation.force_and_work(ends)
-        good = jnp.all(jnp.isfinite(force)) & jnp.all(
-            jax.vmap(lambda J: symmetric(J).well_conditioned)(self.system.inertias)
-        )
-        work = None if state.work is None else state.work + work
-        end = state._replace(q=equation.configuration(ends), p=state.p + equation.dt * force, work=work)
-        return end, info._replace(converged=info.converged & good)
-
-    def advice(self, state: State, dt: ArrayLike) -> str:
-        given = f"{self.name} does not converge at dt = {dt}: bodies turn, or pass one another, too fast for steps of "
-        if self.solver == "newton":
-            return f"{given}this size, or a rod bends too much in a step or buckles in it. Use a smaller dt"
-        return (
-            f"{given}this size, or lose their energy too fast. Use a smaller dt, or more iterations than "
-            f'{self.iterations}, or solver="newton" if they are stiff'
-        )
-
-
-def bodies_energy_momentum(
-    system: AbstractRigidBodies | AbstractDissipativeBodies, iterations: int = 50, solver: str | None = None
-) -> BodiesEnergyMomentum:
     """The energy–momentum scheme for N rigid bodies in a potential of their relative positions and attitudes.
 
     | conserved | to |
@@ -134,12 +107,43 @@ def bodies_energy_momentum(
     Source: this package; the discrete gradient's place in it, Gonzalez 1996, J. Nonlinear Sci. 6; chords with a test of
     contraction, Deuflhard 2011, Newton Methods for Nonlinear Problems, 2.1.
     """
-    PROPERTIES.check(system)
-    _check_invariants(system)
-    if solver is None:
-        solver = "newton" if is_chain(system.potential) else "fixed_point"
-    _checks.choice("solver", solver, ("fixed_point", "newton"))
-    return BodiesEnergyMomentum(system, _checks.count("iterations", iterations, 1), solver)
+
+    system: AbstractRigidBodies | AbstractDissipativeBodies = argument(converter=PROPERTIES.check)
+    iterations: int = static(converter=named(count, "iterations", 1), default=50)
+    solver: str | None = static(default=None)
+    order: float = static(default=2, init=False)
+    symmetric: bool = static(default=True, init=False)
+
+    def check_fields(self) -> dict[str, str]:
+        _check_invariants(self.system)
+        default = "newton" if is_chain(self.system.potential) else "fixed_point"
+        solver = default if self.solver is None else self.solver
+        return {"solver": choice("solver", solver, ("fixed_point", "newton"))}
+
+    def advance(self, state: State, dt: ArrayLike) -> tuple[State, StepInfo]:
+        equation = _Equation(self.system, state, jnp.asarray(dt, state.p.dtype))
+        double, given = jnp.finfo(jnp.float64).eps, jnp.finfo(state.p.dtype).eps
+        most = math.ceil(self.iterations * math.log(given) / math.log(double))  # for the same contraction per iteration
+        if self.solver == "newton":
+            ends, info = _Chain(equation).ends(most)
+        else:
+            ends, info = equation.solve(equation.guess(), most, 2, most)
+        force, work = equation.force_and_work(ends)
+        good = jnp.all(jnp.isfinite(force)) & jnp.all(
+            jax.vmap(lambda J: symmetric(J).well_conditioned)(self.system.inertias)
+        )
+        work = None if state.work is None else state.work + work
+        end = state._replace(q=equation.configuration(ends), p=state.p + equation.dt * force, work=work)
+        return end, info._replace(converged=info.converged & good)
+
+    def advice(self, state: State, dt: ArrayLike) -> str:
+        given = f"{self.name} does not converge at dt = {dt}: bodies turn, or pass one another, too fast for steps of "
+        if self.solver == "newton":
+            return f"{given}this size, or a rod bends too much in a step or buckles in it. Use a smaller dt"
+        return (
+            f"{given}this size, or lose their energy too fast. Use a smaller dt, or more iterations than "
+            f'{self.iterations}, or solver="newton" if they are stiff'
+        )
 
 
 def _check_invariants(system: AbstractRigidBodies | AbstractDissipativeBodies) -> None:
@@ -320,18 +324,10 @@ def _parts(q: Array) -> tuple[Array, Array]:
     return q[:, :3], jax.vmap(so3.to_matrix)(q[:, 3:])
 
 
-PROPERTIES = SchemeProperties(
-    name="bodies_energy_momentum",
-    systems="several bodies, with dissipation or given forces too",
-    conserves=("energy", "energy less work", "momentum"),
-    limit="|ΔtΩ| of 2 to 4 for the Cayley κ",
-    aliases=("energy–momentum method",),
-    source="Lewis & Simo 1994, Results 1 to 3, for several bodies: this package",
-    accepts=(AbstractRigidBodies, AbstractDissipativeBodies),
-)
-
-
 @PROPERTIES.by_name
 def examples(system: AbstractRigidBodies | AbstractDissipativeBodies) -> list[Step]:
     """The scheme, for bodies in a potential, with dissipation and given forces or without."""
     return [bodies_energy_momentum(system)]
+
+
+bodies_energy_momentum = BodiesEnergyMomentum

@@ -25,6 +25,7 @@ import numpy as np
 from jax import Array, lax
 from jax.typing import ArrayLike
 
+from lieint_jax._checks import optional
 from lieint_jax._numerics.stages import compose_stages
 from lieint_jax.schemes._catalogue import SchemeProperties
 from lieint_jax.schemes._shared.compositions import METHODS
@@ -36,14 +37,57 @@ __all__ = ["Composition", "compose"]
 _GENERAL = {4: "suzuki", 6: "kahan_li_6", 8: "kahan_li_8", 10: "sofroniou_spaletta_10"}
 
 
+PROPERTIES = SchemeProperties(
+    name="compose",
+    systems="any symmetric step of order 2",
+    conserves=("what the step conserves",),
+    order=4,
+    limit="that of the step over its longest stage",
+    aliases=("Suzuki composition", "Yoshida composition", "Kahan–Li composition"),
+    source="Suzuki 1990; Yoshida 1990; Kahan & Li 1997",
+)
+
+
 @pytree
 class Composition(Step):
-    """The step made by `compose`."""
+    """A composition of higher order of a symmetric step of order 2 (Suzuki, Yoshida, Kahan–Li), with its invariants.
+
+    Energy, momentum maps and the symplectic form are conserved to round-off if the base step conserves them, since each
+    sub-step does. The composition is symmetric too, and costs as many base steps as it has stages.
+
+    Args:
+        step: a symmetric step of order 2, such as `so3_midpoint(...)`.
+        order: 4, 6, 8 or 10.
+        method: a key of `METHODS` of that order, by default the cheapest: "commuting_4" … "commuting_10" where the base
+            step commutes with itself at other step sizes, otherwise "suzuki", "kahan_li_6", "kahan_li_8",
+            "sofroniou_spaletta_10". Also "triple_jump", "yoshida_6", "suzuki_umeno_8".
+
+    Raises:
+        ValueError: the step is not symmetric or not of order 2, the order or the method does not exist, or a commuting
+            method is given for a step that does not commute.
+
+    Source: for each method, see `METHODS`; Hairer, Lubich & Wanner, Geometric Numerical Integration, V.3.2; the
+    commuting ones: this package.
+    """
 
     step: Step
-    method: str = static()
     order: float = static()
-    symmetric: bool = static(default=True)
+    method: str = static(converter=optional, default=None)
+    symmetric: bool = static(default=True, init=False)
+
+    def check_fields(self) -> dict[str, str]:
+        step, order = self.step, self.order
+        if not isinstance(step, Step) or not step.symmetric or step.order != 2:
+            raise ValueError(f"compose needs a symmetric step of order 2, got {getattr(step, 'name', step)!r}")
+        if order not in _GENERAL:
+            raise ValueError(f"order must be one of {', '.join(map(str, _GENERAL))}, got {order!r}")
+        default = f"commuting_{order}" if step.commuting else _GENERAL[int(order)]
+        method = default if self.method is None else self.method
+        fitting = [name for name, m in METHODS.items() if m.order == order and (step.commuting or not m.counts)]
+        if method not in fitting:
+            of = f"{step.name} at order {order}"
+            raise ValueError(f"method must be one of {', '.join(fitting)} for {of}, got {method!r}")
+        return {"method": method}
 
     @property
     def system(self) -> System:
@@ -102,50 +146,10 @@ class Composition(Step):
         return f"{self.name} has sub-steps of up to {size:.3g} dt; {self.step.advice(state, size * dt)}"
 
 
-def compose(step: Step, order: int, method: str | None = None) -> Composition:
-    """A composition of higher order of a symmetric step of order 2 (Suzuki, Yoshida, Kahan–Li), with its invariants.
-
-    Energy, momentum maps and the symplectic form are conserved to round-off if the base step conserves them, since each
-    sub-step does. The composition is symmetric too, and costs as many base steps as it has stages.
-
-    Args:
-        step: a symmetric step of order 2, such as `so3_midpoint(...)`.
-        order: 4, 6, 8 or 10.
-        method: a key of `METHODS` of that order, by default the cheapest: "commuting_4" … "commuting_10" where the base
-            step commutes with itself at other step sizes, otherwise "suzuki", "kahan_li_6", "kahan_li_8",
-            "sofroniou_spaletta_10". Also "triple_jump", "yoshida_6", "suzuki_umeno_8".
-
-    Raises:
-        ValueError: the step is not symmetric or not of order 2, the order or the method does not exist, or a commuting
-            method is given for a step that does not commute.
-
-    Source: for each method, see `METHODS`; Hairer, Lubich & Wanner, Geometric Numerical Integration, V.3.2; the
-    commuting ones: this package.
-    """
-    if not isinstance(step, Step) or not step.symmetric or step.order != 2:
-        raise ValueError(f"compose needs a symmetric step of order 2, got {getattr(step, 'name', step)!r}")
-    if order not in _GENERAL:
-        raise ValueError(f"order must be one of {', '.join(map(str, _GENERAL))}, got {order!r}")
-    if method is None:
-        method = f"commuting_{order}" if step.commuting else _GENERAL[order]
-    fitting = [name for name, m in METHODS.items() if m.order == order and (step.commuting or not m.counts)]
-    if method not in fitting:
-        raise ValueError(f"method must be one of {', '.join(fitting)} for {step.name} at order {order}, got {method!r}")
-    return Composition(step, method, order)
-
-
-PROPERTIES = SchemeProperties(
-    name="compose",
-    systems="any symmetric step of order 2",
-    conserves=("what the step conserves",),
-    order=4,
-    limit="that of the step over its longest stage",
-    aliases=("Suzuki composition", "Yoshida composition", "Kahan–Li composition"),
-    source="Suzuki 1990; Yoshida 1990; Kahan & Li 1997",
-)
-
-
 def examples(system: System) -> dict[str, Step]:
     """Compositions of the steps of `so3_midpoint`: order 8 of the symplectic one, order 4 of the others."""
     made = [compose(step, 8 if step.commuting else 4) for step in base_examples(system).values()]
     return {step.name: step for step in made}
+
+
+compose = Composition

@@ -41,15 +41,57 @@ _Unknowns = TypeVar("_Unknowns")
 _ROUGH = 1e-3  # the largest relative difference between the last two orders of a step that converged
 
 
+PROPERTIES = SchemeProperties(
+    name="extrapolate",
+    systems="any system",
+    conserves=(),
+    order=12,
+    symmetric=False,
+    limit="none; errors grow",
+    aliases=("Gragg–Bulirsch–Stoer",),
+    source="Gragg 1965",
+)
+
+
 @pytree
 class Extrapolated(Step):
-    """The step made by `extrapolate`."""
+    """Gragg–Bulirsch–Stoer extrapolation: explicit steps of high order for any system, by its vector field alone.
+
+    Invariants are conserved up to the error of the solution only, which grows with time: use it for short, accurate
+    runs, and for comparison. At order 12 a step costs 37 evaluations of the vector field. `residual` is the relative
+    difference between the last two orders; above 1e-3 the step reports `converged=False`.
+
+    Args:
+        system: any system.
+        order: even, 4 to 20.
+        increments: False accumulates the unknowns themselves in sub-steps, not their increments. This saves about 15 %
+            of the time for a top in an ensemble, and gives 3 to 40 times the round-off.
+
+    Raises:
+        ValueError: the order is not one of these, or `system` is not a system, or has a sampled law.
+
+    Source: Gragg, SIAM J. Numer. Anal. 2 (1965) 384; Hairer, Nørsett & Wanner, Solving Ordinary Differential Equations
+    I, II.9.
+    """
 
     system: System
-    order: float = static()
-    form: str = static()  # the name of the chart in which it integrates
+    order: float = static(default=12)
+    form: str = static(init=False)  # the name of the chart in which it integrates
     increments: bool = static(default=True)
-    symmetric: bool = static(default=False)
+    symmetric: bool = static(default=False, init=False)
+
+    def check_fields(self) -> dict[str, str]:
+        system, order = self.system, self.order
+        if isinstance(order, bool) or order not in range(4, 21, 2):
+            raise ValueError(f"order must be an even number from 4 to 20, got {order!r}")
+        if not isinstance(system, System):
+            raise ValueError(f"extrapolate integrates systems, got {type(system).__name__}")
+        if any(law.held for law in laws_of(system)):
+            raise ValueError(
+                "extrapolate integrates vector fields, and a sampled law changes its torque in jumps: use "
+                "torqued_midpoint"
+            )
+        return {"form": next(name for name, chart in _CHARTS.items() if chart.supports(system))}
 
     @property
     def name(self) -> str:
@@ -117,37 +159,6 @@ def _extrapolation(
     return scan_stages(step_once, (origin, first(h[0]), (zero, zero)), rows, store=False)[2]
 
 
-def extrapolate(system: System, order: int = 12, increments: bool = True) -> Extrapolated:
-    """Gragg–Bulirsch–Stoer extrapolation: explicit steps of high order for any system, by its vector field alone.
-
-    Invariants are conserved up to the error of the solution only, which grows with time: use it for short, accurate
-    runs, and for comparison. At order 12 a step costs 37 evaluations of the vector field. `residual` is the relative
-    difference between the last two orders; above 1e-3 the step reports `converged=False`.
-
-    Args:
-        system: any system.
-        order: even, 4 to 20.
-        increments: False accumulates the unknowns themselves in sub-steps, not their increments. This saves about 15 %
-            of the time for a top in an ensemble, and gives 3 to 40 times the round-off.
-
-    Raises:
-        ValueError: the order is not one of these, or `system` is not a system, or has a sampled law.
-
-    Source: Gragg, SIAM J. Numer. Anal. 2 (1965) 384; Hairer, Nørsett & Wanner, Solving Ordinary Differential Equations
-    I, II.9.
-    """
-    if isinstance(order, bool) or order not in range(4, 21, 2):
-        raise ValueError(f"order must be an even number from 4 to 20, got {order!r}")
-    if not isinstance(system, System):
-        raise ValueError(f"extrapolate integrates systems, got {type(system).__name__}")
-    if any(law.held for law in laws_of(system)):
-        raise ValueError(
-            "extrapolate integrates vector fields, and a sampled law changes its torque in jumps: use torqued_midpoint"
-        )
-    form = next(name for name, chart in _CHARTS.items() if chart.supports(system))
-    return Extrapolated(system, order, form, increments)
-
-
 def weights(numbers: list[int]) -> list[float]:
     """w_n, which cancel the errors in h², h⁴, … for these numbers of sub-steps."""
     return [math.prod(n * n / (n * n - k * k) for k in numbers if k != n) for n in numbers]
@@ -163,20 +174,11 @@ def _largest(arrays: Sequence[Array]) -> Array:
     return functools.reduce(jnp.maximum, [jnp.max(jnp.abs(x), initial=0) for x in arrays])
 
 
-PROPERTIES = SchemeProperties(
-    name="extrapolate",
-    systems="any system",
-    conserves=(),
-    order=12,
-    symmetric=False,
-    limit="none; errors grow",
-    aliases=("Gragg–Bulirsch–Stoer",),
-    source="Gragg 1965",
-)
-
-
 def examples(system: System) -> dict[str, Step]:
     """Order 12, for free bodies, tops and several bodies."""
     if not isinstance(system, AbstractFreeBody | AbstractTop | AbstractRigidBodies):
         return {}
     return {"extrapolate[12]": extrapolate(system)}
+
+
+extrapolate = Extrapolated

@@ -100,7 +100,6 @@ class Gauss(Step):
     symmetric: bool = static(default=True, init=False)
 
     def check_fields(self) -> dict[str, float]:
-        """The order; ValueError if the system has no canonical coordinates here."""
         if canonical_chart(self.system) is None:
             space = self.system.phase_space
             raise ValueError(f"gauss has canonical coordinates on T*SO(3) only, not on those of {space}")

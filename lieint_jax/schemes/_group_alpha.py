@@ -19,28 +19,72 @@ import jax.numpy as jnp
 from jax import Array
 from jax.typing import ArrayLike
 
-from lieint_jax import _checks
-from lieint_jax._checks import concrete
+from lieint_jax._checks import concrete, count, fraction, named
 from lieint_jax._numerics import small_linalg as la
 from lieint_jax.capabilities import AbstractGeodesicFlow, AbstractMechanicalSystem
-from lieint_jax.maps import Map, Tau, as_tau, exponential
+from lieint_jax.maps import Tau, as_tau, exponential
 from lieint_jax.schemes._catalogue import SchemeProperties
-from lieint_jax.schemes._shared.group_newton import Equation, as_vector
-from lieint_jax.types import State, Step, StepInfo, pytree, static
+from lieint_jax.schemes._shared.group_newton import Equation, any_map, as_vector
+from lieint_jax.types import State, Step, StepInfo, argument, pytree, static
 
 __all__ = ["GroupAlpha", "group_alpha"]
+
+PROPERTIES = SchemeProperties(
+    name="group_alpha",
+    systems="matrix groups, with or without a potential",
+    conserves=("momentum",),
+    limit="where the map is injective",
+    aliases=("α-family on T*G",),
+    source="Lewis & Simo 1994, (5.43), Results 12 to 14",
+    accepts=(AbstractGeodesicFlow, AbstractMechanicalSystem),
+)
 
 
 @pytree
 class GroupAlpha(Step):
-    """The step made by `group_alpha`."""
+    """The class (5.43) of Result 14 with velocity at n+α and force at n+1−α, with or without a potential.
 
-    system: AbstractGeodesicFlow | AbstractMechanicalSystem
-    alpha: Array
-    tau: Tau
-    iterations: int = static()
-    order: float = static(default=2)
-    symmetric: bool = static(default=True)
+    | | α = ½ | another α |
+    |---|---|---|
+    | π without a potential; ⟨π, η⟩ for each left symmetry η of V (5.44) | exact | exact |
+    | energy without a potential | exact (Result 10) | O(Δt²) per step |
+    | energy with a potential | O(Δt³) per step (`group_energy_momentum` conserves it) | O(Δt²) per step |
+    | symplectic form, abelian groups (1″ to 3″) | exact | exact |
+    | symplectic form without a potential | as in `group_midpoint`: (5.31) | O(Δt²) per step |
+    | symplectic form with a potential, other groups | O(Δt³) per step | O(Δt²) per step |
+    | order | 2 | 1 |
+
+    "Exact" is to round-off at a converged step. Without a potential the step of α = ½ is that of `group_midpoint`; on
+    a group of translations it is the implicit midpoint rule for every potential, and α = 0 and 1 are the two symplectic
+    Euler schemes. The inverse of a step of α is the step of 1 − α with −Δt if τ(−Θ) = τ(Θ)⁻¹ and if there is no
+    potential or τ is the exponential map (or any map for which τ(sΘ) is a one-parameter group).
+
+    `diagnostics.conditions` measures the three conditions of Result 14 for a step.
+
+    Args:
+        system: `systems.euler(group, metric)` or `systems.group_potential(...)`.
+        alpha: α in [0, 1], a leaf of the step with respect to which it can be differentiated.
+        tau: as in `group_midpoint`.
+        iterations: the most Newton matrices per step, each used three times; α = 0 is explicit.
+
+    Raises:
+        ValueError: neither a geodesic flow nor a metric and a potential on a group; a τ that does not fit; α out of
+            range; bad iterations.
+
+    Source: Lewis & Simo 1994, Results 12 to 14, Appendix B; the place of the force: (6.5), (6.9) and (6.17).
+    """
+
+    system: AbstractGeodesicFlow | AbstractMechanicalSystem = argument(converter=PROPERTIES.check)
+    alpha: Array = argument(converter=named(fraction, "alpha"), default=0.5)
+    tau: Tau = argument(converter=any_map, default=exponential)
+    iterations: int = static(converter=named(count, "iterations", 1), default=8)
+    order: float = static(init=False)
+    symmetric: bool = static(init=False)
+
+    def check_fields(self) -> dict[str, object]:
+        tau = as_tau(self.tau, self.system.group)
+        middle = tau.symmetric and (not concrete(self.alpha) or float(self.alpha) == 0.5)
+        return {"tau": tau, "order": 2 if middle else 1, "symmetric": middle}
 
     @property
     def name(self) -> str:
@@ -85,61 +129,10 @@ class GroupAlpha(Step):
         )
 
 
-def group_alpha(
-    system: AbstractGeodesicFlow | AbstractMechanicalSystem,
-    alpha: ArrayLike = 0.5,
-    tau: Tau | Map = exponential,
-    iterations: int = 8,
-) -> GroupAlpha:
-    """The class (5.43) of Result 14 with velocity at n+α and force at n+1−α, with or without a potential.
-
-    | | α = ½ | another α |
-    |---|---|---|
-    | π without a potential; ⟨π, η⟩ for each left symmetry η of V (5.44) | exact | exact |
-    | energy without a potential | exact (Result 10) | O(Δt²) per step |
-    | energy with a potential | O(Δt³) per step (`group_energy_momentum` conserves it) | O(Δt²) per step |
-    | symplectic form, abelian groups (1″ to 3″) | exact | exact |
-    | symplectic form without a potential | as in `group_midpoint`: (5.31) | O(Δt²) per step |
-    | symplectic form with a potential, other groups | O(Δt³) per step | O(Δt²) per step |
-    | order | 2 | 1 |
-
-    "Exact" is to round-off at a converged step. Without a potential the step of α = ½ is that of `group_midpoint`; on
-    a group of translations it is the implicit midpoint rule for every potential, and α = 0 and 1 are the two symplectic
-    Euler schemes. The inverse of a step of α is the step of 1 − α with −Δt if τ(−Θ) = τ(Θ)⁻¹ and if there is no
-    potential or τ is the exponential map (or any map for which τ(sΘ) is a one-parameter group).
-
-    `diagnostics.conditions` measures the three conditions of Result 14 for a step.
-
-    Args:
-        system: `systems.euler(group, metric)` or `systems.group_potential(...)`.
-        alpha: α in [0, 1], a leaf of the step with respect to which it can be differentiated.
-        tau: as in `group_midpoint`.
-        iterations: the most Newton matrices per step, each used three times; α = 0 is explicit.
-
-    Raises:
-        ValueError: neither a geodesic flow nor a metric and a potential on a group; a τ that does not fit; α out of
-            range; bad iterations.
-
-    Source: Lewis & Simo 1994, Results 12 to 14, Appendix B; the place of the force: (6.5), (6.9) and (6.17).
-    """
-    PROPERTIES.check(system)
-    alpha, tau = _checks.fraction("alpha", alpha), as_tau(tau, system.group)
-    middle = tau.symmetric and (not concrete(alpha) or float(alpha) == 0.5)
-    return GroupAlpha(system, alpha, tau, _checks.count("iterations", iterations, 1), 2 if middle else 1, middle)
-
-
-PROPERTIES = SchemeProperties(
-    name="group_alpha",
-    systems="matrix groups, with or without a potential",
-    conserves=("momentum",),
-    limit="where the map is injective",
-    aliases=("α-family on T*G",),
-    source="Lewis & Simo 1994, (5.43), Results 12 to 14",
-    accepts=(AbstractGeodesicFlow, AbstractMechanicalSystem),
-)
-
-
 @PROPERTIES.by_name
 def examples(system: AbstractGeodesicFlow | AbstractMechanicalSystem) -> list[Step]:
     """The step of α = ½ by the exponential map, on small groups; it costs as much as `group_midpoint`."""
     return [group_alpha(system)] if system.group.dim <= 3 else []
+
+
+group_alpha = GroupAlpha

@@ -15,19 +15,21 @@ and Newton's matrix is that of `group_midpoint` with the second derivative of V 
 
 from __future__ import annotations
 
+from dataclasses import field
+
 import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import Array
 from jax.typing import ArrayLike
 
-from lieint_jax import _checks
+from lieint_jax._checks import count, named
 from lieint_jax._numerics import small_linalg as la
 from lieint_jax.capabilities import AbstractMechanicalSystem
 from lieint_jax.maps import Tau, as_tau, exponential
 from lieint_jax.schemes._catalogue import SchemeProperties
 from lieint_jax.schemes._shared.group_newton import Equation, as_vector
-from lieint_jax.types import State, Step, StepInfo, pytree, static
+from lieint_jax.types import State, Step, StepInfo, argument, pytree, static
 
 __all__ = ["GroupEnergyMomentum", "group_energy_momentum"]
 
@@ -35,15 +37,48 @@ _NODES, _WEIGHTS = np.polynomial.legendre.leggauss(5)
 _NODES, _WEIGHTS = (_NODES + 1) / 2, _WEIGHTS / 2
 
 
+PROPERTIES = SchemeProperties(
+    name="group_energy_momentum",
+    systems="matrix groups with a potential",
+    conserves=("energy", "momentum"),
+    limit="where the map is injective",
+    aliases=("energy–momentum method on T*G",),
+    source="Lewis & Simo 1994, (5.49), Result 13",
+    accepts=(AbstractMechanicalSystem,),
+)
+
+
 @pytree
 class GroupEnergyMomentum(Step):
-    """The step made by `group_energy_momentum`."""
+    """An energy–momentum scheme for any potential on any matrix group.
 
-    system: AbstractMechanicalSystem
-    tau: Tau  # the exponential map
-    iterations: int = static()
-    order: float = static(default=2)
-    symmetric: bool = static(default=True)
+    | conserved | to |
+    |---|---|
+    | energy | round-off, where five Gauss nodes integrate dV along a step to round-off: their error is O(Δt¹¹) |
+    | ⟨π, η⟩ for each left symmetry η of V | round-off |
+    | the symplectic form | no: defect O(Δt³) per step (Result 8); `splitting` with a symplectic drift conserves it |
+
+    The scheme is of second order and time-symmetric.
+
+    Args:
+        system: `systems.group_potential(...)`.
+        iterations: the most Newton matrices per step, each used three times. A step that does not converge reports
+            `converged=False`.
+
+    Raises:
+        ValueError: not a metric and a potential on a group; bad iterations.
+
+    Source: Lewis & Simo 1994, Result 13; the discrete force: this package.
+    """
+
+    system: AbstractMechanicalSystem = argument(converter=PROPERTIES.check)
+    tau: Tau = field(init=False)
+    iterations: int = static(converter=named(count, "iterations", 1), default=6)
+    order: float = static(default=2, init=False)
+    symmetric: bool = static(default=True, init=False)
+
+    def check_fields(self) -> dict[str, Tau]:
+        return {"tau": as_tau(exponential, self.system.group)}
 
     def advance(self, state: State, dt: ArrayLike) -> tuple[State, StepInfo]:
         system, dt = self.system, jnp.asarray(dt)
@@ -78,44 +113,10 @@ class GroupEnergyMomentum(Step):
         )
 
 
-def group_energy_momentum(system: AbstractMechanicalSystem, iterations: int = 6) -> GroupEnergyMomentum:
-    """An energy–momentum scheme for any potential on any matrix group.
-
-    | conserved | to |
-    |---|---|
-    | energy | round-off, where five Gauss nodes integrate dV along a step to round-off: their error is O(Δt¹¹) |
-    | ⟨π, η⟩ for each left symmetry η of V | round-off |
-    | the symplectic form | no: defect O(Δt³) per step (Result 8); `splitting` with a symplectic drift conserves it |
-
-    The scheme is of second order and time-symmetric.
-
-    Args:
-        system: `systems.group_potential(...)`.
-        iterations: the most Newton matrices per step, each used three times. A step that does not converge reports
-            `converged=False`.
-
-    Raises:
-        ValueError: not a metric and a potential on a group; bad iterations.
-
-    Source: Lewis & Simo 1994, Result 13; the discrete force: this package.
-    """
-    PROPERTIES.check(system)
-    tau = as_tau(exponential, system.group)
-    return GroupEnergyMomentum(system, tau, _checks.count("iterations", iterations, 1))
-
-
-PROPERTIES = SchemeProperties(
-    name="group_energy_momentum",
-    systems="matrix groups with a potential",
-    conserves=("energy", "momentum"),
-    limit="where the map is injective",
-    aliases=("energy–momentum method on T*G",),
-    source="Lewis & Simo 1994, (5.49), Result 13",
-    accepts=(AbstractMechanicalSystem,),
-)
-
-
 @PROPERTIES.by_name
 def examples(system: AbstractMechanicalSystem) -> list[Step]:
     """The energy-momentum step, for systems with a potential on a group."""
     return [group_energy_momentum(system)]
+
+
+group_energy_momentum = GroupEnergyMomentum

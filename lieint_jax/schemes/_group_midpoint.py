@@ -24,26 +24,68 @@ import numpy as np
 from jax import Array, lax
 from jax.typing import ArrayLike
 
-from lieint_jax import _checks
+from lieint_jax._checks import count, named
 from lieint_jax._numerics import small_linalg as la
 from lieint_jax.capabilities import AbstractGeodesicFlow, AbstractRightGeodesicFlow
-from lieint_jax.maps import Map, Tau, as_tau, cayley, cayley_lands, exponential
+from lieint_jax.maps import Tau, as_tau, cayley, cayley_lands, exponential
 from lieint_jax.schemes._catalogue import SchemeProperties
-from lieint_jax.schemes._shared.group_newton import Equation, ad_star_matrix, as_vector
-from lieint_jax.types import State, Step, StepInfo, pytree, static
+from lieint_jax.schemes._shared.group_newton import Equation, ad_star_matrix, any_map, as_vector
+from lieint_jax.types import State, Step, StepInfo, argument, pytree, static
 
 __all__ = ["GroupMidpoint", "group_midpoint"]
+
+PROPERTIES = SchemeProperties(
+    name="group_midpoint",
+    systems="geodesics of any matrix group",
+    conserves=("energy", "momentum", "form (where the map is symplectic)"),
+    limit="where the map is injective",
+    aliases=("midpoint rule on T*G",),
+    source="Lewis & Simo 1994, (5.23) to (5.27), Results 9 to 11",
+    accepts=(AbstractGeodesicFlow, AbstractRightGeodesicFlow),
+    instead="; with a potential use group_energy_momentum",
+)
 
 
 @pytree
 class GroupMidpoint(Step):
-    """The step made by `group_midpoint`."""
+    """The generalized midpoint rule (5.23) with (5.27), for a geodesic system on any group and any map τ.
 
-    system: AbstractGeodesicFlow | AbstractRightGeodesicFlow
-    tau: Tau
-    iterations: int = static()
-    order: float = static(default=2)
-    symmetric: bool = static(default=True)
+    Spatial momentum is conserved bit for bit (Result 9), and energy to round-off at a converged step (Result 10);
+    rounding errors add up, to 1.3e-10 of the energy in 10⁵ steps of `systems.kirchhoff()` with Δt = 0.1. The scheme is
+    of second order and time-symmetric if τ(−Θ) = τ(Θ)⁻¹, which is measured; otherwise `symmetric` is False and `order`
+    1. The symplectic form is conserved if and only if (5.31) holds (Result 11), which `maps.symplectic_residual`
+    measures; otherwise its defect is O(Δt³) per step.
+
+    For a right-invariant metric the body momentum Π = Ad*_q π is conserved instead, to round-off.
+
+    On groups that are not compact, Ad_q can grow exponentially, and Π = Ad*_q π then loses digits with any scheme. The
+    worst case is ε‖Ad_q‖²; for the energy on SL(2) a growth like ε‖Ad_q‖ was observed. The step reports
+    `converged=False` where ε‖Ad_q‖² exceeds about 1e-6 (float64), or q has left the group by as much.
+
+    Args:
+        system: `systems.euler(group, metric)`, left- or right-invariant.
+        tau: `maps.exponential`, `maps.cayley` (where it lands in the group), `maps.arcsine`, or a custom map
+            (group, Θ) ↦ τ(Θ) with Ad_τ(Θ) Θ = Θ, which is checked at three random Θ. `compose`, `splitting` and
+            `li.reversible` accept symmetric maps only.
+        iterations: the most Newton matrices per step, each used three times. For |Δt Ω| ≤ 0.05 a step needs 1, for
+            ≤ 0.2 it needs 2, for ≤ 0.5 it needs 3; the largest number in a batch decides. More than the default of 8
+            help where |Δt Ω| > 1, or if the eigenvalues of the metric differ much.
+
+    Raises:
+        ValueError: not a geodesic flow; a τ that does not fit; bad iterations.
+
+    Source: Lewis & Simo 1994, Results 9–11.
+    """
+
+    system: AbstractGeodesicFlow | AbstractRightGeodesicFlow = argument(converter=PROPERTIES.check)
+    tau: Tau = argument(converter=any_map, default=exponential)
+    iterations: int = static(converter=named(count, "iterations", 1), default=8)
+    order: float = static(init=False)
+    symmetric: bool = static(init=False)
+
+    def check_fields(self) -> dict[str, object]:
+        tau = as_tau(self.tau, self.system.group)
+        return {"tau": tau, "order": 2 if tau.symmetric else 1, "symmetric": tau.symmetric}
 
     @property
     def name(self) -> str:
@@ -92,55 +134,10 @@ class GroupMidpoint(Step):
         )
 
 
-def group_midpoint(
-    system: AbstractGeodesicFlow | AbstractRightGeodesicFlow, tau: Tau | Map = exponential, iterations: int = 8
-) -> GroupMidpoint:
-    """The generalized midpoint rule (5.23) with (5.27), for a geodesic system on any group and any map τ.
-
-    Spatial momentum is conserved bit for bit (Result 9), and energy to round-off at a converged step (Result 10);
-    rounding errors add up, to 1.3e-10 of the energy in 10⁵ steps of `systems.kirchhoff()` with Δt = 0.1. The scheme is
-    of second order and time-symmetric if τ(−Θ) = τ(Θ)⁻¹, which is measured; otherwise `symmetric` is False and `order`
-    1. The symplectic form is conserved if and only if (5.31) holds (Result 11), which `maps.symplectic_residual`
-    measures; otherwise its defect is O(Δt³) per step.
-
-    For a right-invariant metric the body momentum Π = Ad*_q π is conserved instead, to round-off.
-
-    On groups that are not compact, Ad_q can grow exponentially, and Π = Ad*_q π then loses digits with any scheme. The
-    worst case is ε‖Ad_q‖²; for the energy on SL(2) a growth like ε‖Ad_q‖ was observed. The step reports
-    `converged=False` where ε‖Ad_q‖² exceeds about 1e-6 (float64), or q has left the group by as much.
-
-    Args:
-        system: `systems.euler(group, metric)`, left- or right-invariant.
-        tau: `maps.exponential`, `maps.cayley` (where it lands in the group), `maps.arcsine`, or a custom map
-            (group, Θ) ↦ τ(Θ) with Ad_τ(Θ) Θ = Θ, which is checked at three random Θ. `compose`, `splitting` and
-            `li.reversible` accept symmetric maps only.
-        iterations: the most Newton matrices per step, each used three times. For |Δt Ω| ≤ 0.05 a step needs 1, for
-            ≤ 0.2 it needs 2, for ≤ 0.5 it needs 3; the largest number in a batch decides. More than the default of 8
-            help where |Δt Ω| > 1, or if the eigenvalues of the metric differ much.
-
-    Raises:
-        ValueError: not a geodesic flow; a τ that does not fit; bad iterations.
-
-    Source: Lewis & Simo 1994, Results 9–11.
-    """
-    PROPERTIES.check(system, "; with a potential use group_energy_momentum")
-    tau = as_tau(tau, system.group)
-    order = 2 if tau.symmetric else 1
-    return GroupMidpoint(system, tau, _checks.count("iterations", iterations, 1), order, tau.symmetric)
-
-
-PROPERTIES = SchemeProperties(
-    name="group_midpoint",
-    systems="geodesics of any matrix group",
-    conserves=("energy", "momentum", "form (where the map is symplectic)"),
-    limit="where the map is injective",
-    aliases=("midpoint rule on T*G",),
-    source="Lewis & Simo 1994, (5.23) to (5.27), Results 9 to 11",
-    accepts=(AbstractGeodesicFlow, AbstractRightGeodesicFlow),
-)
-
-
 @PROPERTIES.by_name
 def examples(system: AbstractGeodesicFlow | AbstractRightGeodesicFlow) -> list[Step]:
     """The exponential map, and the Cayley map where it lands in the group."""
     return [group_midpoint(system, tau) for tau in [exponential] + [cayley] * cayley_lands(system.group)]
+
+
+group_midpoint = GroupMidpoint

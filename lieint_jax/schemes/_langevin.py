@@ -14,6 +14,7 @@ canonical measure without a bias for any Δt.
 
 from __future__ import annotations
 
+from dataclasses import field
 from typing import Any
 
 import jax
@@ -38,7 +39,7 @@ from lieint_jax.groups import so3
 from lieint_jax.schemes._catalogue import SchemeProperties
 from lieint_jax.schemes._exact import exact
 from lieint_jax.schemes._splitting import Splitting, kick
-from lieint_jax.types import State, Step, StepInfo, System, pytree, static
+from lieint_jax.types import State, Step, StepInfo, System, argument, pytree, static
 from lieint_jax.types.vectors import symmetric
 
 __all__ = ["Langevin", "langevin"]
@@ -47,17 +48,80 @@ _KEY, _COUNT, _HEAT, _REJECTIONS = "key", "step", "heat", "rejections"
 _MOST = 2**32  # steps with noise of their own
 
 
+PROPERTIES = SchemeProperties(
+    name="langevin",
+    systems="free bodies, tops, several bodies, in a heat bath",
+    conserves=("canonical measure (free bodies, or metropolis)",),
+    symmetric=False,
+    limit="that of the potential's frequencies, Δtω < 2",
+    aliases=("BAOAB", "Langevin thermostat", "GHMC"),
+    source="Leimkuhler & Matthews 2013; Davidchack, Handel & Tretyakov 2009; Bou-Rabee & Owhadi 2010",
+    accepts=(AbstractFreeBody, AbstractTop, AbstractFreeBodies, AbstractRigidBodies),
+)
+
+
 @pytree
 class Langevin(Step):
-    """The step made by `langevin`."""
+    """Langevin dynamics (BAOAB, or Metropolized): bodies in a heat bath, with an exact account of the heat.
 
-    system: Any
-    drift: Step  # the exact step of the free motion
-    temperature: Array
-    friction: Array
-    metropolis: bool = static(default=False)
-    order: float = static(default=2)
-    symmetric: bool = static(default=False)
+    | | |
+    |---|---|
+    | canonical measure | exact for free bodies; in a potential with a bias O(Δt²), none with `metropolis` |
+    | heat Q, `State.extra["heat"]` | exact: H − Q changes by the error of the noiseless splitting, O(Δt³) per step |
+    | the same random numbers | in runs that are resumed, split, sharded, or compiled to machine code |
+
+    States carry a key: `state = step.start(state, key=jax.random.key(0))`. For ensembles with a leading member axis the
+    same call gives each member its own key. `diagnostics.certify` reports what can be certified.
+
+    Args:
+        system: `systems.rigid_body`, `heavy_top`, `potential_top`; `rigid_bodies` without dissipation, or its `.free`.
+        temperature: kT, in units of energy, > 0.
+        friction: rates γ ≥ 0. A number; or (3,), the rates about the principal axes of bodies with principal moments,
+            which for several bodies are also those of the motion of the centers along these axes; or, for several
+            bodies, (6,), the rates of the centers, then those of the rotations. Friction about axis 1 alone does not
+            sample the canonical measure of a free body: it conserves (1/J₂ − 1/J₁)Π₂² + (1/J₃ − 1/J₁)Π₃².
+        metropolis: whether to accept or reject each step by its change of energy; `State.extra["rejections"]` counts
+            rejected steps.
+
+    Raises:
+        ValueError: the system is none of these, the temperature is not positive, a friction is negative, or several
+            rates are given for a full tensor of inertia.
+
+    Example:
+        >>> import lieint_jax as li
+        >>> body = li.systems.rigid_body([1.0, 1.7, 2.2])
+        >>> step = langevin(body, temperature=1.0, friction=0.5)
+        >>> state = step.start(body.state(angular_velocity=[0.1, 0.2, 0.3]), key=7)
+        >>> end = li.integrate(step, state, 0.1, 10, save_every=10).state
+        >>> gained = jax.vmap(body.energy)(end)[-1] - body.energy(state)
+        >>> bool(abs(gained - end.extra["heat"][-1]) < 1e-5)
+        True
+
+    Source: Leimkuhler & Matthews 2013, Appl. Math. Res. Express; for rigid bodies Davidchack, Handel & Tretyakov 2009,
+    J. Chem. Phys. 130; Metropolized: Bou-Rabee & Owhadi 2010, SIAM J. Numer. Anal. 48.
+    """
+
+    system: Any = argument(converter=PROPERTIES.check)
+    drift: Step = field(init=False)  # the exact step of the free motion
+    temperature: ArrayLike
+    friction: npt.ArrayLike
+    metropolis: bool = static(converter=bool, default=False)
+    order: float = static(default=2, init=False)
+    symmetric: bool = static(default=False, init=False)
+
+    def check_fields(self) -> dict[str, object]:
+        free: Any = self.system.free if isinstance(self.system, AbstractForcedSystem) else self.system
+        kT = _checks.real_array("temperature", self.temperature, ())
+        if concrete(kT) and not float(kT) > 0:
+            raise ValueError(f"temperature must be positive, kT in units of energy, got {float(kT):g}")
+        many = isinstance(free, AbstractFreeBodies)
+        rates = _checks.real_array("friction", self.friction, (), (3,), *([(6,)] if many else []))
+        if concrete(rates) and not np.all(np.asarray(rates) >= 0):
+            raise ValueError(f"friction must be ≥ 0, a rate, got {np.asarray(rates)}")
+        J = free.inertias if many else free.inertia
+        if rates.ndim and J.ndim > (2 if many else 1):
+            raise ValueError("several rates of friction are about principal axes: give principal moments, or one rate")
+        return {"drift": exact(free), "temperature": kT, "friction": rates}
 
     @property
     def name(self) -> str:
@@ -70,7 +134,7 @@ class Langevin(Step):
     @property
     def free(self) -> Langevin:
         """The same thermostat for the bodies without their potential."""
-        return Langevin(self.drift.system, self.drift, self.temperature, self.friction, self.metropolis)
+        return Langevin(self.drift.system, self.temperature, self.friction, self.metropolis)
 
     def start(self, state: State, key: Any = None, first: int = 0) -> State:
         """`state` with a key, the number of steps so far, and the heat so far: `State.extra["key", "step", "heat"]`.
@@ -142,7 +206,8 @@ class Langevin(Step):
         """O: the state after friction and noise for a time, with the heat that they add."""
         bodies: Any = self.drift.system
         if state.p.ndim == 1:
-            p, gained = _thermalized(state.q, bodies.inertia, state.p, noise, self.friction, dt, self.temperature)
+            friction, kT = map(jnp.asarray, (self.friction, self.temperature))
+            p, gained = _thermalized(state.q, bodies.inertia, state.p, noise, friction, dt, kT)
         else:
             p, gained = self._thermalize_bodies(bodies, state, noise.reshape(-1, 6), dt)
         return self._add_to_extra(state._replace(p=p), **{_HEAT: gained})
@@ -150,10 +215,11 @@ class Langevin(Step):
     def _thermalize_bodies(self, bodies: Any, state: State, noise: Array, dt: Array) -> tuple[Array, Array]:
         """The momenta of several bodies after friction and noise, and the kinetic energy gained."""
         masses = bodies.masses[:, None] * jnp.ones_like(state.p[:, :3])
-        rates = (self.friction[:3], self.friction[3:]) if self.friction.shape == (6,) else (self.friction,) * 2
+        friction, kT = map(jnp.asarray, (self.friction, self.temperature))
+        rates = (friction[:3], friction[3:]) if friction.shape == (6,) else (friction,) * 2
         over_bodies = jax.vmap(_thermalized, (0, 0, 0, 0, None, None, None))
         (moved, first), (turned, second) = (
-            over_bodies(state.q[:, 3:], J, state.p[:, own], noise[:, own], rate, dt, self.temperature)
+            over_bodies(state.q[:, 3:], J, state.p[:, own], noise[:, own], rate, dt, kT)
             for J, own, rate in zip((masses, bodies.inertias), (slice(3), slice(3, 6)), rates, strict=True)
         )
         return jnp.concatenate([moved, turned], axis=1), jnp.sum(first) + jnp.sum(second)
@@ -231,74 +297,10 @@ def _checked_key(key: Any) -> Array:
     return jax.random.wrap_key_data(jnp.asarray(words), impl="threefry2x32")
 
 
-def langevin(system: Any, temperature: ArrayLike, friction: npt.ArrayLike, metropolis: bool = False) -> Langevin:
-    """Langevin dynamics (BAOAB, or Metropolized): bodies in a heat bath, with an exact account of the heat.
-
-    | | |
-    |---|---|
-    | canonical measure | exact for free bodies; in a potential with a bias O(Δt²), none with `metropolis` |
-    | heat Q, `State.extra["heat"]` | exact: H − Q changes by the error of the noiseless splitting, O(Δt³) per step |
-    | the same random numbers | in runs that are resumed, split, sharded, or compiled to machine code |
-
-    States carry a key: `state = step.start(state, key=jax.random.key(0))`. For ensembles with a leading member axis the
-    same call gives each member its own key. `diagnostics.certify` reports what can be certified.
-
-    Args:
-        system: `systems.rigid_body`, `heavy_top`, `potential_top`; `rigid_bodies` without dissipation, or its `.free`.
-        temperature: kT, in units of energy, > 0.
-        friction: rates γ ≥ 0. A number; or (3,), the rates about the principal axes of bodies with principal moments,
-            which for several bodies are also those of the motion of the centers along these axes; or, for several
-            bodies, (6,), the rates of the centers, then those of the rotations. Friction about axis 1 alone does not
-            sample the canonical measure of a free body: it conserves (1/J₂ − 1/J₁)Π₂² + (1/J₃ − 1/J₁)Π₃².
-        metropolis: whether to accept or reject each step by its change of energy; `State.extra["rejections"]` counts
-            rejected steps.
-
-    Raises:
-        ValueError: the system is none of these, the temperature is not positive, a friction is negative, or several
-            rates are given for a full tensor of inertia.
-
-    Example:
-        >>> import lieint_jax as li
-        >>> body = li.systems.rigid_body([1.0, 1.7, 2.2])
-        >>> step = langevin(body, temperature=1.0, friction=0.5)
-        >>> state = step.start(body.state(angular_velocity=[0.1, 0.2, 0.3]), key=7)
-        >>> end = li.integrate(step, state, 0.1, 10, save_every=10).state
-        >>> gained = jax.vmap(body.energy)(end)[-1] - body.energy(state)
-        >>> bool(abs(gained - end.extra["heat"][-1]) < 1e-5)
-        True
-
-    Source: Leimkuhler & Matthews 2013, Appl. Math. Res. Express; for rigid bodies Davidchack, Handel & Tretyakov 2009,
-    J. Chem. Phys. 130; Metropolized: Bou-Rabee & Owhadi 2010, SIAM J. Numer. Anal. 48.
-    """
-    PROPERTIES.check(system)
-    free: Any = system.free if isinstance(system, AbstractForcedSystem) else system
-    drift = exact(free)
-    kT = _checks.real_array("temperature", temperature, ())
-    if concrete(kT) and not float(kT) > 0:
-        raise ValueError(f"temperature must be positive, kT in units of energy, got {float(kT):g}")
-    many = isinstance(free, AbstractFreeBodies)
-    rates = _checks.real_array("friction", friction, (), (3,), *([(6,)] if many else []))
-    if concrete(rates) and not np.all(np.asarray(rates) >= 0):
-        raise ValueError(f"friction must be ≥ 0, a rate, got {np.asarray(rates)}")
-    J = free.inertias if many else free.inertia
-    if rates.ndim and J.ndim > (2 if many else 1):
-        raise ValueError("several rates of friction are about principal axes: give principal moments, or one rate")
-    return Langevin(system, drift, kT, rates, bool(metropolis))
-
-
-PROPERTIES = SchemeProperties(
-    name="langevin",
-    systems="free bodies, tops, several bodies, in a heat bath",
-    conserves=("canonical measure (free bodies, or metropolis)",),
-    symmetric=False,
-    limit="that of the potential's frequencies, Δtω < 2",
-    aliases=("BAOAB", "Langevin thermostat", "GHMC"),
-    source="Leimkuhler & Matthews 2013; Davidchack, Handel & Tretyakov 2009; Bou-Rabee & Owhadi 2010",
-    accepts=(AbstractFreeBody, AbstractTop, AbstractFreeBodies, AbstractRigidBodies),
-)
-
-
 @PROPERTIES.by_name
 def examples(system: System) -> list[Step]:
     """The thermostat of tops and several bodies."""
     return [langevin(system, 0.1, 0.5)] if isinstance(system, AbstractTop | AbstractRigidBodies) else []
+
+
+langevin = Langevin

@@ -11,12 +11,13 @@ where K is that of the momentum at each drift.
 
 from __future__ import annotations
 
+from dataclasses import field
+
 import jax.numpy as jnp
 from jax import Array
 from jax.typing import ArrayLike
 
-from lieint_jax import _checks
-from lieint_jax._checks import at_once, concrete
+from lieint_jax._checks import at_once, concrete, real_array
 from lieint_jax._numerics.stages import compose_stages
 from lieint_jax.capabilities import AbstractDrivenSystem, AbstractForcedSystem, AbstractFreeBody
 from lieint_jax.schemes._catalogue import SchemeProperties, hint
@@ -31,21 +32,76 @@ _OFF = 0.1  # the largest |ln((K + B)/(−V))| in a step; it is O(h²) for a sta
 _STARTS = 1e-3  # the same at the start of a run
 
 
+PROPERTIES = SchemeProperties(
+    name="log_hamiltonian",
+    systems="tops with V < 0",
+    conserves=("momentum", "form (of the extended phase space)"),
+    limit="a step of fictitious time",
+    aliases=("logarithmic Hamiltonian", "Mikkola–Tanikawa", "Preto–Tremaine"),
+    source="Mikkola & Tanikawa 1999; Preto & Tremaine 1999",
+    accepts=(AbstractForcedSystem,),
+)
+
+
 @pytree
 class LogHamiltonian(Step):
-    """The step made by `log_hamiltonian`.
+    """The logarithmic Hamiltonian: symplectic steps that are short where the potential is deep, Δt ≈ dt/(−V).
 
-    Attributes:
-        energy: E, or None if it is in `State.extra`.
-        drift: the exact flow of the system without the potential.
+    `dt` is a step of the fictitious time s, in units of energy × time. The step advances `state.t`, which is required:
+    `step.start(state)` provides it. For V = −μ/r, Δt is proportional to r.
+
+    | conserved | to |
+    |---|---|
+    | the symplectic form | round-off |
+    | γ·π, if the potential has an axis γ | round-off |
+    | energy | O(dt²), bounded, no drift |
+
+    The states as functions of `state.t` are of second order; the step is time-symmetric; `compose` raises the order.
+
+    A constant may be subtracted from a potential to make it negative; it determines how much the steps vary. A state
+    whose energy differs from E by δ moves as if the potential were 1 + δ/(−V) times as strong. `start` raises an error
+    for a concrete state with δ above 1e-3 of −V, and a step with δ above 0.1 of −V reports `converged=False`. So does
+    one where K is so much larger than −V that rounding K + B changes the rotation of the step by more than 1e-6 (in
+    float32 3e-4) of itself.
+
+    Args:
+        system: a rigid body in a potential, `systems.heavy_top(...)` or `systems.potential_top(...)`, with V < 0
+            wherever the body goes. The drift is its exact free motion: with an approximate drift, whose error depends
+            on K, the form would not be conserved.
+        energy: E, that of the initial state; by default `start` writes that of each state to `state.extra["energy"]`.
+
+    Raises:
+        ValueError: the system is none of these, or driven, so that its energy is not constant; the energy is not a
+            finite scalar. At the start of a run: a state with −V ≤ 0 or K − E ≤ 0, or of another energy. Inside jit
+            such a step reports `converged=False`.
+
+    Source: Mikkola & Tanikawa 1999, Mon. Not. R. Astron. Soc. 310; Preto & Tremaine 1999, Astron. J. 118.
     """
 
     system: AbstractForcedSystem
-    energy: Array | None
-    drift: Step
-    order: float = static(default=2)
-    symmetric: bool = static(default=True)
+    energy: ArrayLike | None = None
+    drift: Step = field(init=False)
+    order: float = static(default=2, init=False)
+    symmetric: bool = static(default=True, init=False)
     own_time = True
+
+    def check_fields(self) -> dict[str, object]:
+        system, energy = self.system, self.energy
+        if isinstance(system, AbstractDrivenSystem):
+            raise ValueError(
+                f"log_hamiltonian needs a constant energy, got {type(system).__name__}, whose potential depends on "
+                "time; use reversible_control of a splitting"
+            )
+        if not (isinstance(system, AbstractForcedSystem) and isinstance(system.free, AbstractFreeBody)):
+            raise ValueError(
+                "log_hamiltonian integrates rigid bodies in a potential (systems.heavy_top, systems.potential_top), "
+                f"whose free motion is known exactly, got {type(system).__name__}{hint(system)}"
+            )
+        free = system.free
+        PROPERTIES.check(system)
+        if energy is not None:
+            energy = real_array("energy", energy, (), like=free.inertia)
+        return {"energy": energy, "drift": exact(free)}
 
     @property
     def name(self) -> str:
@@ -104,7 +160,7 @@ class LogHamiltonian(Step):
     def _energy(self, state: State) -> Array:
         """E."""
         if self.energy is not None:
-            return self.energy
+            return jnp.asarray(self.energy)
         if _KEY not in (state.extra or {}):
             raise ValueError(f'the state needs its energy, state.extra["{_KEY}"]: use step.start(state)')
         return state.extra[_KEY]  # pyright: ignore[reportOptionalSubscript]
@@ -121,69 +177,9 @@ class LogHamiltonian(Step):
         )
 
 
-def log_hamiltonian(system: AbstractForcedSystem, energy: ArrayLike | None = None) -> LogHamiltonian:
-    """The logarithmic Hamiltonian: symplectic steps that are short where the potential is deep, Δt ≈ dt/(−V).
-
-    `dt` is a step of the fictitious time s, in units of energy × time. The step advances `state.t`, which is required:
-    `step.start(state)` provides it. For V = −μ/r, Δt is proportional to r.
-
-    | conserved | to |
-    |---|---|
-    | the symplectic form | round-off |
-    | γ·π, if the potential has an axis γ | round-off |
-    | energy | O(dt²), bounded, no drift |
-
-    The states as functions of `state.t` are of second order; the step is time-symmetric; `compose` raises the order.
-
-    A constant may be subtracted from a potential to make it negative; it determines how much the steps vary. A state
-    whose energy differs from E by δ moves as if the potential were 1 + δ/(−V) times as strong. `start` raises an error
-    for a concrete state with δ above 1e-3 of −V, and a step with δ above 0.1 of −V reports `converged=False`. So does
-    one where K is so much larger than −V that rounding K + B changes the rotation of the step by more than 1e-6 (in
-    float32 3e-4) of itself.
-
-    Args:
-        system: a rigid body in a potential, `systems.heavy_top(...)` or `systems.potential_top(...)`, with V < 0
-            wherever the body goes. The drift is its exact free motion: with an approximate drift, whose error depends
-            on K, the form would not be conserved.
-        energy: E, that of the initial state; by default `start` writes that of each state to `state.extra["energy"]`.
-
-    Raises:
-        ValueError: the system is none of these, or driven, so that its energy is not constant; the energy is not a
-            finite scalar. At the start of a run: a state with −V ≤ 0 or K − E ≤ 0, or of another energy. Inside jit
-            such a step reports `converged=False`.
-
-    Source: Mikkola & Tanikawa 1999, Mon. Not. R. Astron. Soc. 310; Preto & Tremaine 1999, Astron. J. 118.
-    """
-    if isinstance(system, AbstractDrivenSystem):
-        raise ValueError(
-            f"log_hamiltonian needs a constant energy, got {type(system).__name__}, whose potential depends on time; "
-            "use reversible_control of a splitting"
-        )
-    if not (isinstance(system, AbstractForcedSystem) and isinstance(system.free, AbstractFreeBody)):
-        raise ValueError(
-            "log_hamiltonian integrates rigid bodies in a potential (systems.heavy_top, systems.potential_top), whose "
-            f"free motion is known exactly, got {type(system).__name__}{hint(system)}"
-        )
-    free = system.free
-    PROPERTIES.check(system)
-    given = None if energy is None else _checks.real_array("energy", energy, (), like=free.inertia)
-    return LogHamiltonian(system, given, exact(free))
-
-
 def _positive(x: Array) -> tuple[Array, Array]:
     """x, or 1 where it is not positive; and whether it is."""
     return jnp.where(x > 0, x, 1), x > 0
-
-
-PROPERTIES = SchemeProperties(
-    name="log_hamiltonian",
-    systems="tops with V < 0",
-    conserves=("momentum", "form (of the extended phase space)"),
-    limit="a step of fictitious time",
-    aliases=("logarithmic Hamiltonian", "Mikkola–Tanikawa", "Preto–Tremaine"),
-    source="Mikkola & Tanikawa 1999; Preto & Tremaine 1999",
-    accepts=(AbstractForcedSystem,),
-)
 
 
 @PROPERTIES.by_name
@@ -192,3 +188,6 @@ def examples(system: AbstractForcedSystem) -> list[Step]:
     origin = system.phase_space.origin
     deep = isinstance(system.free, AbstractFreeBody) and system.energy(origin._replace(p=jnp.zeros_like(origin.p))) < 0
     return [log_hamiltonian(system)] if deep else []
+
+
+log_hamiltonian = LogHamiltonian

@@ -74,7 +74,6 @@ class Magnus(Step):
     symmetric: bool = static(default=True, init=False)
 
     def check_fields(self) -> None:
-        """Raise ValueError for another order than 2, 4 and 6, and for one that the commutator-free method lacks."""
         if self.order not in (2, 4, 6) or isinstance(self.order, bool):
             raise ValueError(f"order must be 2, 4 or 6, got {self.order!r}")
         if not self.commutators and self.order != 4:

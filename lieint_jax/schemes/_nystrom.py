@@ -17,13 +17,14 @@ import jax.numpy as jnp
 from jax import Array
 from jax.typing import ArrayLike
 
+from lieint_jax._checks import optional
 from lieint_jax._numerics.stages import compose_stages
 from lieint_jax.capabilities import AbstractDrivenSystem, AbstractForcedSystem, AbstractFreeBodies, AbstractFreeBody
 from lieint_jax.schemes._catalogue import SchemeProperties, hint
 from lieint_jax.schemes._exact import exact
 from lieint_jax.schemes._preprocessed import preprocessed
 from lieint_jax.schemes._splitting import kick
-from lieint_jax.types import State, Step, StepInfo, pytree, static
+from lieint_jax.types import State, Step, StepInfo, argument, pytree, static
 
 __all__ = ["Nystrom", "nystrom"]
 
@@ -56,40 +57,20 @@ def _method_6() -> Stages:
 METHODS = {4: _method_4(), 6: _method_6()}  # SRKN6b and SRKN14a
 
 
+PROPERTIES = SchemeProperties(
+    name="nystrom",
+    systems="tops, satellites, several bodies",
+    conserves=("momentum", "form"),
+    order=4,
+    limit="that of the drift",
+    aliases=("Runge–Kutta–Nyström splitting of Blanes & Moan",),
+    source="Blanes & Moan 2002",
+    accepts=(AbstractForcedSystem, AbstractDrivenSystem),
+)
+
+
 @pytree
 class Nystrom(Step):
-    """The step made by `nystrom`."""
-
-    system: AbstractForcedSystem | AbstractDrivenSystem
-    drift: Step
-    order: float = static()
-    symmetric: bool = static(default=True)
-
-    @property
-    def name(self) -> str:
-        return f"nystrom[{self.order:g}]"
-
-    def advance(self, state: State, dt: ArrayLike) -> tuple[State, StepInfo]:
-        drifts, kicks = (jnp.asarray(x, state.p.dtype) * dt for x in METHODS[int(self.order)])
-        kick_last = len(kicks) > len(drifts)
-
-        def kick_and_drift(state: State, a: Array, b: Array) -> tuple[State, StepInfo]:
-            return self.drift.substep(kick(self.system, state, b), a)
-
-        # A first kick of 0, if it is not there, so that the long program of a drift is compiled once.
-        first = kicks[:-1] if kick_last else jnp.concatenate([jnp.zeros_like(kicks[:1]), kicks])
-        state, info = compose_stages(kick_and_drift, state, (drifts, first))
-        if kick_last:
-            return kick(self.system, state, kicks[-1]), info
-        # The potential has not been evaluated since the last drift
-        return state, info._replace(converged=info.converged & jnp.isfinite(self.system.energy(state)))
-
-    def advice(self, state: State, dt: ArrayLike) -> str:
-        longest = max(METHODS[int(self.order)].drifts, key=abs)
-        return f"{self.name} has sub-steps up to {longest:.3g} dt; {self.drift.advice(state, longest * dt)}"
-
-
-def nystrom(system: AbstractForcedSystem | AbstractDrivenSystem, order: int, drift: Step | None = None) -> Nystrom:
     """Runge–Kutta–Nyström splittings of Blanes & Moan, symmetric and of high accuracy, for bodies in a potential.
 
     | conserved | to |
@@ -115,37 +96,59 @@ def nystrom(system: AbstractForcedSystem | AbstractDrivenSystem, order: int, dri
 
     Source: Blanes & Moan 2002, J. Comput. Appl. Math. 142, Table 3: SRKN6b and SRKN14a.
     """
-    if order not in METHODS:
-        raise ValueError(f"order must be 4 or 6, got {order!r}; compose(splitting(system), order) has others")
-    free = system.free if isinstance(system, AbstractForcedSystem | AbstractDrivenSystem) else None
-    if not isinstance(free, AbstractFreeBody | AbstractFreeBodies):
-        raise ValueError(
-            "nystrom integrates rigid bodies in a potential (systems.rigid_bodies, systems.heavy_top, "
-            "systems.potential_top, systems.driven_top, systems.gravity_gradient), got "
-            f"{type(system).__name__}{hint(system)}"
-        )
-    PROPERTIES.check(system)
-    if drift is None:
-        drift = preprocessed(free, 10) if isinstance(free, AbstractFreeBody) else exact(free)
-    PROPERTIES.check_drift(free, drift)
-    if drift.order < order:
-        raise ValueError(f"drift must be of order {order} or more, such as exact(system.free), got {drift.name}")
-    return Nystrom(system, drift, order)
 
+    system: AbstractForcedSystem | AbstractDrivenSystem
+    order: float = static()
+    drift: Step = argument(converter=optional, default=None)
+    symmetric: bool = static(default=True, init=False)
 
-PROPERTIES = SchemeProperties(
-    name="nystrom",
-    systems="tops, satellites, several bodies",
-    conserves=("momentum", "form"),
-    order=4,
-    limit="that of the drift",
-    aliases=("Runge–Kutta–Nyström splitting of Blanes & Moan",),
-    source="Blanes & Moan 2002",
-    accepts=(AbstractForcedSystem, AbstractDrivenSystem),
-)
+    def check_fields(self) -> dict[str, Step]:
+        system, order = self.system, self.order
+        if order not in METHODS:
+            raise ValueError(f"order must be 4 or 6, got {order!r}; compose(splitting(system), order) has others")
+        free = system.free if isinstance(system, AbstractForcedSystem | AbstractDrivenSystem) else None
+        if not isinstance(free, AbstractFreeBody | AbstractFreeBodies):
+            raise ValueError(
+                "nystrom integrates rigid bodies in a potential (systems.rigid_bodies, systems.heavy_top, "
+                "systems.potential_top, systems.driven_top, systems.gravity_gradient), got "
+                f"{type(system).__name__}{hint(system)}"
+            )
+        PROPERTIES.check(system)
+        default = preprocessed(free, 10) if isinstance(free, AbstractFreeBody) else exact(free)
+        drift = default if self.drift is None else self.drift
+        PROPERTIES.check_drift(free, drift)
+        if drift.order < order:
+            raise ValueError(f"drift must be of order {order} or more, such as exact(system.free), got {drift.name}")
+        return {"drift": drift}
+
+    @property
+    def name(self) -> str:
+        return f"nystrom[{self.order:g}]"
+
+    def advance(self, state: State, dt: ArrayLike) -> tuple[State, StepInfo]:
+        drifts, kicks = (jnp.asarray(x, state.p.dtype) * dt for x in METHODS[int(self.order)])
+        kick_last = len(kicks) > len(drifts)
+
+        def kick_and_drift(state: State, a: Array, b: Array) -> tuple[State, StepInfo]:
+            return self.drift.substep(kick(self.system, state, b), a)
+
+        # A first kick of 0, if it is not there, so that the long program of a drift is compiled once.
+        first = kicks[:-1] if kick_last else jnp.concatenate([jnp.zeros_like(kicks[:1]), kicks])
+        state, info = compose_stages(kick_and_drift, state, (drifts, first))
+        if kick_last:
+            return kick(self.system, state, kicks[-1]), info
+        # The potential has not been evaluated since the last drift
+        return state, info._replace(converged=info.converged & jnp.isfinite(self.system.energy(state)))
+
+    def advice(self, state: State, dt: ArrayLike) -> str:
+        longest = max(METHODS[int(self.order)].drifts, key=abs)
+        return f"{self.name} has sub-steps up to {longest:.3g} dt; {self.drift.advice(state, longest * dt)}"
 
 
 @PROPERTIES.by_name
 def examples(system: AbstractForcedSystem | AbstractDrivenSystem) -> list[Step]:
     """Both orders, for several bodies; those for one body would make the grid of tests too large."""
     return [nystrom(system, order) for order in METHODS] if isinstance(system.free, AbstractFreeBodies) else []
+
+
+nystrom = Nystrom

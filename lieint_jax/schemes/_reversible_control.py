@@ -26,15 +26,67 @@ __all__ = ["ReversibleControl", "reversible_control"]
 _KEY = "rho"
 
 
+PROPERTIES = SchemeProperties(
+    name="reversible_control",
+    systems="any symmetric step",
+    conserves=("what the step conserves, but not the form",),
+    limit="that of the step",
+    aliases=("reversible integrating controller",),
+    source="Hairer & Söderlind 2005",
+)
+
+
 @pytree
 class ReversibleControl(Step):
-    """The step made by `reversible_control`."""
+    """A time-symmetric scheme with a variable step size that is a function of the state: Δt ≈ dt·σ(state).
+
+    The step conserves every invariant that the base step conserves at any step size, such as the energy and γ·π of
+    `top_energy_momentum`. The symplectic form is not conserved (`log_hamiltonian` conserves it). Because of the time
+    symmetry the energy of a splitting does not drift on regular motions; on chaotic ones this is not guaranteed.
+
+    The step advances `state.t`, and carries the step density ρ ≈ 1/σ in `state.extra["rho"]`: `step.start(state)`
+    provides both. `dt` is a step of a fictitious time s with dt/ds = σ, in the unit of time over that of σ.
+
+    The states as functions of `state.t` are of second order; the step is time-symmetric; `compose` raises the order. A
+    step costs two evaluations of σ and its derivative in addition to the base step.
+
+    Args:
+        step: a symmetric step, such as `top_energy_momentum(...)` or `splitting(...)`.
+        sigma: the desired step size over dt, a smooth positive function of the state with a scalar value. It should be
+            invariant under reversal of the motion; parameters to be differentiated go into a `jax.tree_util.Partial`.
+
+    Raises:
+        ValueError: the step is not symmetric or advances the time itself, or sigma is not a scalar function. At the
+            start of a run: sigma is not positive, or the state lacks ρ. Inside jit, a step where σ or ρ is not positive
+            reports `converged=False`.
+
+    Source: Hairer & Söderlind 2005, SIAM J. Sci. Comput. 26.
+
+    Example:
+        >>> from lieint_jax import systems, schemes
+        >>> top = systems.heavy_top([1.0, 1.0, 0.5], [0.0, 0.0, 5.0])
+        >>> slow_where_high = lambda state: 1 / (1 + top.kinetic_energy(state))
+        >>> step = schemes.reversible_control(schemes.top_energy_momentum(top), slow_where_high)
+        >>> state = step.start(top.state(angular_velocity=[0.1, 0.0, 1.0]))
+        >>> float(step(state, 0.1)[0].t) < 0.1
+        True
+    """
 
     step: Step
-    sigma: Callable[[State], Array]
-    order: float = static(default=2)
-    symmetric: bool = static(default=True)
+    sigma: Callable[[State], ArrayLike]
+    order: float = static(default=2, init=False)
+    symmetric: bool = static(default=True, init=False)
     own_time = True
+
+    def check_fields(self) -> dict[str, object]:
+        if not isinstance(self.step, Step) or not self.step.symmetric or self.step.own_time:
+            raise ValueError(
+                "reversible_control needs a symmetric step whose dt is a step of time, got "
+                f"{getattr(self.step, 'name', self.step)!r}; apply compose to its result"
+            )
+        if not callable(self.sigma):
+            raise ValueError(f"sigma must be a function of the state with a scalar value, got {self.sigma!r}")
+        return {"sigma": callable_pytree(self.sigma)}
 
     @property
     def system(self) -> System:
@@ -90,60 +142,6 @@ class ReversibleControl(Step):
         return sigma.astype(state.p.dtype)
 
 
-def reversible_control(step: Step, sigma: Callable[[State], ArrayLike]) -> ReversibleControl:
-    """A time-symmetric scheme with a variable step size that is a function of the state: Δt ≈ dt·σ(state).
-
-    The step conserves every invariant that the base step conserves at any step size, such as the energy and γ·π of
-    `top_energy_momentum`. The symplectic form is not conserved (`log_hamiltonian` conserves it). Because of the time
-    symmetry the energy of a splitting does not drift on regular motions; on chaotic ones this is not guaranteed.
-
-    The step advances `state.t`, and carries the step density ρ ≈ 1/σ in `state.extra["rho"]`: `step.start(state)`
-    provides both. `dt` is a step of a fictitious time s with dt/ds = σ, in the unit of time over that of σ.
-
-    The states as functions of `state.t` are of second order; the step is time-symmetric; `compose` raises the order. A
-    step costs two evaluations of σ and its derivative in addition to the base step.
-
-    Args:
-        step: a symmetric step, such as `top_energy_momentum(...)` or `splitting(...)`.
-        sigma: the desired step size over dt, a smooth positive function of the state with a scalar value. It should be
-            invariant under reversal of the motion; parameters to be differentiated go into a `jax.tree_util.Partial`.
-
-    Raises:
-        ValueError: the step is not symmetric or advances the time itself, or sigma is not a scalar function. At the
-            start of a run: sigma is not positive, or the state lacks ρ. Inside jit, a step where σ or ρ is not positive
-            reports `converged=False`.
-
-    Source: Hairer & Söderlind 2005, SIAM J. Sci. Comput. 26.
-
-    Example:
-        >>> from lieint_jax import systems, schemes
-        >>> top = systems.heavy_top([1.0, 1.0, 0.5], [0.0, 0.0, 5.0])
-        >>> slow_where_high = lambda state: 1 / (1 + top.kinetic_energy(state))
-        >>> step = schemes.reversible_control(schemes.top_energy_momentum(top), slow_where_high)
-        >>> state = step.start(top.state(angular_velocity=[0.1, 0.0, 1.0]))
-        >>> float(step(state, 0.1)[0].t) < 0.1
-        True
-    """
-    if not isinstance(step, Step) or not step.symmetric or step.own_time:
-        raise ValueError(
-            "reversible_control needs a symmetric step whose dt is a step of time, got "
-            f"{getattr(step, 'name', step)!r}; apply compose to its result"
-        )
-    if not callable(sigma):
-        raise ValueError(f"sigma must be a function of the state with a scalar value, got {sigma!r}")
-    return ReversibleControl(step, callable_pytree(sigma))
-
-
-PROPERTIES = SchemeProperties(
-    name="reversible_control",
-    systems="any symmetric step",
-    conserves=("what the step conserves, but not the form",),
-    limit="that of the step",
-    aliases=("reversible integrating controller",),
-    source="Hairer & Söderlind 2005",
-)
-
-
 def examples(system: System) -> dict[str, Step]:
     """Splittings of systems with a potential, with steps that are short where the momentum is large."""
     made = [
@@ -156,3 +154,6 @@ def examples(system: System) -> dict[str, Step]:
 
 def _calm(state: State) -> Array:
     return 1 / jnp.sqrt(1 + jnp.sum(state.p**2))
+
+
+reversible_control = ReversibleControl

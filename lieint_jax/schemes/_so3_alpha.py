@@ -53,7 +53,6 @@ from lieint_jax.types.vectors import (
 
 __all__ = ["SO3Alpha", "so3_alpha"]
 
-
 PROPERTIES = SchemeProperties(
     name="so3_alpha",
     systems="free bodies whose attitude is a matrix",
@@ -108,7 +107,6 @@ class SO3Alpha(Step):
     symmetric: bool = static(init=False)
 
     def check_fields(self) -> dict[str, float]:
-        """The order and the symmetry."""
         middle = not concrete(self.alpha) or float(self.alpha) == 0.5
         return {"order": 2 if middle else 1, "symmetric": middle}
 

@@ -49,7 +49,6 @@ from lieint_jax.types.vectors import cross, dot, symmetric, vector
 
 __all__ = ["SO3Midpoint", "so3_midpoint"]
 
-
 PROPERTIES = SchemeProperties(
     name="so3_midpoint",
     systems="free bodies, also with J(t), gyrostats",
@@ -117,7 +116,6 @@ class SO3Midpoint(Step):
     symmetric: bool = static(default=True, init=False)
 
     def check_fields(self) -> dict[str, int]:
-        """The default of `iterations`."""
         free = isinstance(self.system, AbstractFreeBody | AbstractFreeBodyInTime)
         default = ITERATIONS[self.kappa.solve_by if free else "vector"]
         return {"iterations": default if self.iterations is None else self.iterations}

@@ -105,7 +105,6 @@ class TopEnergyMomentum(Step):
     symmetric: bool = static(default=True, init=False)
 
     def check_fields(self) -> dict[str, int]:
-        """The default of `iterations`; ValueError if the system has no axis."""
         if self.system.axis is None:
             raise ValueError(
                 f"top_energy_momentum integrates {AbstractTop.noun}, got {type(self.system).__name__} without an axis; "

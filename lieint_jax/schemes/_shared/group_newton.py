@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import functools
 from collections.abc import Callable
-from typing import NamedTuple
+from typing import NamedTuple, cast
 
 import jax
 import jax.numpy as jnp
@@ -19,10 +19,15 @@ from jax.typing import ArrayLike
 from lieint_jax._numerics import newton
 from lieint_jax._numerics import small_linalg as la
 from lieint_jax.capabilities import AbstractMechanicalSystem, AbstractMetricSystem, AbstractRightGeodesicFlow
-from lieint_jax.maps import Tau, derivative
+from lieint_jax.maps import Map, Tau, derivative
 from lieint_jax.types import AnalyticGroup, Group, State, StepInfo
 from lieint_jax.types.shapes import AlgebraVector
 from lieint_jax.types.vectors import Matrix, components
+
+
+def any_map(tau: Tau | Map) -> Tau:
+    """The converter of a field: τ as it is given. `as_tau` checks it on the group of the system, another field."""
+    return cast("Tau", tau)
 
 
 class Equation(NamedTuple):
