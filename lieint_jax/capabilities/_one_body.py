@@ -62,6 +62,7 @@ class AbstractFreeBody(AbstractRotatingBody):
     """
 
     noun = "free rigid bodies (systems.rigid_body)"
+    default_drift = "so3_midpoint"
 
 
 class AbstractBodyInTime(Capability):
@@ -145,6 +146,7 @@ class AbstractGyrostat(AbstractRotatingBody):
     """
 
     noun = "gyrostats (systems.gyrostat)"
+    default_drift = "exact"
     rotor: Array
 
     @property

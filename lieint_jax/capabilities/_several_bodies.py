@@ -56,6 +56,7 @@ class AbstractFreeBodies(AbstractManyBodies):
     """
 
     noun = "free rigid bodies (systems.rigid_bodies(...).free)"
+    default_drift = "exact"
 
     @abc.abstractmethod
     def single_body(self, inertia: Inertia) -> AbstractFreeBody:

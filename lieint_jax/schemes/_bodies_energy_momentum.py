@@ -38,7 +38,7 @@ from lieint_jax._numerics.equation import ChainEquation, FixedPointEquation
 from lieint_jax._xla import compiled
 from lieint_jax.capabilities import AbstractDissipativeBodies, AbstractRigidBodies
 from lieint_jax.groups import so3
-from lieint_jax.potentials import Potential, given_poses, invariant_form, is_chain, torques
+from lieint_jax.potentials import Potential, SumPotential, given_poses, invariant_form, is_chain, torques
 from lieint_jax.schemes._catalogue import SchemeProperties
 from lieint_jax.types import State, Step, StepInfo, argument, pytree, static
 from lieint_jax.types.vectors import cross, matrix, symmetric, unit_trace, vector
@@ -148,7 +148,8 @@ class BodiesEnergyMomentum(Step):
 
 def _check_invariants(system: AbstractRigidBodies | AbstractDissipativeBodies) -> None:
     """Raise ValueError if a potential is not one of relative poses, and has no invariants by which it is defined."""
-    for term in getattr(system.potential, "terms", (system.potential,)):
+    potential = system.potential
+    for term in potential.terms if isinstance(potential, SumPotential) else (potential,):
         if type(term).__call__ is Potential.__call__ or not concrete(term):
             continue
         space, dtype = system.phase_space, system.masses.dtype

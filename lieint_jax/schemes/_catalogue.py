@@ -81,7 +81,8 @@ class SchemeProperties(NamedTuple):
     def check_drift(self, free: System, drift: Step) -> None:
         """Raise ValueError if a drift is not a symmetric step of the system `free`."""
         if not isinstance(drift, Step) or not drift.symmetric or drift.own_time:
-            raise ValueError(f"drift must be a symmetric step of system.free, got {getattr(drift, 'name', drift)!r}")
+            given = drift.name if isinstance(drift, Step) else drift
+            raise ValueError(f"drift must be a symmetric step of system.free, got {given!r}")
         if not _equal(free, drift.system):
             raise ValueError(
                 f"{self.name} with {drift.name}: the drift must be a step of system.free, a {type(free).__name__}, "

@@ -78,7 +78,8 @@ class Composition(Step):
     def check_fields(self) -> dict[str, str]:
         step, order = self.step, self.order
         if not isinstance(step, Step) or not step.symmetric or step.order != 2:
-            raise ValueError(f"compose needs a symmetric step of order 2, got {getattr(step, 'name', step)!r}")
+            given = step.name if isinstance(step, Step) else step
+            raise ValueError(f"compose needs a symmetric step of order 2, got {given!r}")
         if order not in _GENERAL:
             raise ValueError(f"order must be one of {', '.join(map(str, _GENERAL))}, got {order!r}")
         default = f"commuting_{order}" if step.commuting else _GENERAL[int(order)]

@@ -168,7 +168,7 @@ def kepler_splitting(
     PROPERTIES.check(system)
     if system.masses.shape != (2,):
         raise ValueError(f"kepler_splitting is for two bodies, got {system.masses.shape[0]}; use nystrom or splitting")
-    given = getattr(system.potential, "G", None) if G is None else G
+    given = _gravity_of(system) if G is None else G
     if given is None:
         raise ValueError("the potential has no G: give kepler_splitting(system, order, G=…)")
     if drift is None:
@@ -179,6 +179,11 @@ def kepler_splitting(
         PROPERTIES.check_drift(system.free, drift)
     formal = 2 if method == 2 else 4
     return KeplerSplitting(system, _checks.real_array("G", given, (), like=system.masses), drift, method, formal)
+
+
+def _gravity_of(system: AbstractRigidBodies) -> ArrayLike | None:
+    """The constant of gravity of the potential, if it has one."""
+    return getattr(system.potential, "G", None)
 
 
 PROPERTIES = SchemeProperties(
@@ -195,6 +200,6 @@ PROPERTIES = SchemeProperties(
 @PROPERTIES.by_name
 def examples(system: AbstractRigidBodies) -> list[Step]:
     """The three methods, for two bodies under gravity."""
-    if system.masses.shape != (2,) or not hasattr(system.potential, "G"):
+    if system.masses.shape != (2,) or _gravity_of(system) is None:
         return []
     return [kepler_splitting(system, method) for method in METHODS]

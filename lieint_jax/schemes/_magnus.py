@@ -22,6 +22,7 @@ from jax.typing import ArrayLike
 
 from lieint_jax._numerics import collocation
 from lieint_jax.capabilities import AbstractKinematics
+from lieint_jax.groups import MatrixGroup, so3
 from lieint_jax.schemes._catalogue import SchemeProperties
 from lieint_jax.types import AnalyticGroup, State, Step, StepInfo, argument, clock, pytree, static
 from lieint_jax.types.shapes import AlgebraVector, GroupElement
@@ -115,9 +116,10 @@ class Magnus(Step):
     def _multiply_exp(self, q: GroupElement, theta: AlgebraVector) -> GroupElement:
         """q exp θ in the body, exp θ q in space."""
         group, left = self.system.group, self.system.frame == "space"
-        increment = getattr(group, "exp_increment", None)
-        if increment is not None:  # which corrects the length of q
-            return increment(q, theta, left)
+        if group is so3:
+            return so3.exp_increment(q, theta, left)  # which corrects the length of q
+        if isinstance(group, MatrixGroup):
+            return group.exp_increment(q, theta, left)
         turn = group.exp(theta)
         return group.multiply(turn, q) if left else group.multiply(q, turn)
 

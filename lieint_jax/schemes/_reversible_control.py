@@ -80,10 +80,9 @@ class ReversibleControl(Step):
 
     def check_fields(self) -> dict[str, object]:
         if not isinstance(self.step, Step) or not self.step.symmetric or self.step.own_time:
-            raise ValueError(
-                "reversible_control needs a symmetric step whose dt is a step of time, got "
-                f"{getattr(self.step, 'name', self.step)!r}; apply compose to its result"
-            )
+            given = self.step.name if isinstance(self.step, Step) else self.step
+            needed = "a symmetric step whose dt is a step of time"
+            raise ValueError(f"reversible_control needs {needed}, got {given!r}; apply compose to its result")
         if not callable(self.sigma):
             raise ValueError(f"sigma must be a function of the state with a scalar value, got {self.sigma!r}")
         return {"sigma": callable_pytree(self.sigma)}

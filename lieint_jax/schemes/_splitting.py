@@ -31,6 +31,7 @@ from lieint_jax.capabilities import (
 )
 from lieint_jax.groups import so3
 from lieint_jax.phase_spaces import CotangentGroup
+from lieint_jax.potentials import is_chain
 from lieint_jax.schemes._catalogue import SchemeProperties
 from lieint_jax.schemes._shared.default_drift import default_drift
 from lieint_jax.schemes._shared.half_rotation import attitude_error_limit
@@ -263,15 +264,13 @@ def splitting(
         if drift is not None:
             raise ValueError(f"the drift of an elastic body is a straight line: give none, got {drift!r}")
         return ElasticSplitting(system)
-    if drift is None:
-        drift = default_drift(system)
-    else:
-        PROPERTIES.check_drift(system.free, drift)
+    drift = default_drift(system) if drift is None else drift
+    PROPERTIES.check_drift(system.free, drift)
     if isinstance(system, AbstractGyrostat):
         return GyrostatSplitting(system, drift)
     many = isinstance(drift.system, AbstractFreeBodies) and len(drift.system.masses) >= _MANY
-    is_chain = getattr(getattr(system, "potential", None), "chain", False)
-    return Splitting(system, drift, kick_first=is_chain or not many)
+    chain = isinstance(system, AbstractRigidBodies) and is_chain(system.potential)
+    return Splitting(system, drift, kick_first=chain or not many)
 
 
 PROPERTIES = SchemeProperties(

@@ -34,7 +34,7 @@ from lieint_jax.groups import so3
 from lieint_jax.maps import KAPPAS, Kappa, as_kappa, kappa_cayley
 from lieint_jax.schemes._catalogue import SchemeProperties
 from lieint_jax.schemes._shared.half_rotation import gyration, gyration_matrix, on_branch
-from lieint_jax.types import State, Step, StepInfo, argument, clock, pytree, static
+from lieint_jax.types import PotentialWithGradient, State, Step, StepInfo, argument, clock, pytree, static
 from lieint_jax.types.vectors import (
     Matrix,
     Symmetric,
@@ -262,7 +262,7 @@ class _Equation(ImplicitEquation[Vector]):
 
 
 def _is_linear(potential: Callable[..., Array]) -> bool:
-    return getattr(potential, "linear", False)
+    return isinstance(potential, PotentialWithGradient) and potential.linear
 
 
 def _rotated_axis(h: Vector, Gamma: Vector) -> Vector:

@@ -18,7 +18,13 @@ __all__ = ["PotentialWithGradient", "StoredEnergy", "autodiff_gradient", "check_
 
 
 class PotentialWithGradient(abc.ABC):
-    """A potential Ṽ(Γ) or Ṽ(Γ, t) of tops with its gradient in closed form, which costs far less than autodiff."""
+    """A potential Ṽ(Γ) or Ṽ(Γ, t) of tops with its gradient in closed form, which costs far less than autodiff.
+
+    Attributes:
+        linear: whether it is linear in Γ, so that its gradient is constant.
+    """
+
+    linear: bool = False
 
     @abc.abstractmethod
     def __call__(self, Gamma: Vector3, t: Time | None = None) -> Scalar: ...

@@ -22,9 +22,12 @@ class System(abc.ABC):
 
     Attributes:
         hamiltonian: whether it has an energy and a symplectic form; all have, except motions with given rates.
+        default_drift: a name in `schemes`: what makes the drift of `schemes.splitting`, if the user gives none, of this
+            free system, or of a system whose free system declares another; "" if none is declared.
     """
 
     hamiltonian: ClassVar[bool] = True
+    default_drift: ClassVar[str] = ""
 
     @property
     def domain(self) -> str:

@@ -306,6 +306,19 @@ def test_a_custom_step_needs_public_names_only():
     assert run.info.converged.all()
 
 
+def test_a_system_declares_the_drift_of_its_splitting():
+    """It comes before that of its free motion, and must be symmetric like any other."""
+
+    class Own(li.systems.PotentialTop):
+        default_drift = "exact"
+
+    top = li.pytree(Own)(BODY.inertia, lambda Gamma: Gamma[2], jnp.array([0.0, 0.0, 1.0]))
+    assert isinstance(li.schemes.splitting(top).drift, li.schemes.Exact)
+    Own.default_drift = "extrapolate"
+    with pytest.raises(ValueError, match="drift must be a symmetric step"):
+        li.schemes.splitting(top)
+
+
 def _custom_step(parent, advance, constants, tangents):
     """A class of steps whose methods have these names; in each, super() finds that of `parent`."""
 

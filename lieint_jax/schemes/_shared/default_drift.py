@@ -1,11 +1,13 @@
 """The drift of a splitting where the user gives none: a symplectic step of the system without its potential.
 
-On a group it is the exact flow of a bi-invariant metric, whose geodesics are one-parameter subgroups, or the midpoint
-rule where a map makes it symplectic, or on SE(3) the free motion of a body about its center of mass.
+A system declares it by the name of a scheme, `System.default_drift`. On a group the numbers of the metric decide: it is
+the exact flow of a bi-invariant metric, whose geodesics are one-parameter subgroups, or the midpoint rule where a map
+makes it symplectic, or on SE(3) the free motion of a body about its center of mass.
 """
 
 from __future__ import annotations
 
+import importlib
 import math
 from contextlib import suppress
 
@@ -16,21 +18,12 @@ from jax.typing import ArrayLike
 
 from lieint_jax._checks import at_once, concrete
 from lieint_jax._numerics.small_linalg import sharp
-from lieint_jax.capabilities import (
-    AbstractDrivenSystem,
-    AbstractForcedSystem,
-    AbstractFreeBodies,
-    AbstractFreeBody,
-    AbstractGeodesicFlow,
-    AbstractGyrostat,
-)
+from lieint_jax.capabilities import AbstractDrivenSystem, AbstractForcedSystem, AbstractGeodesicFlow, AbstractGyrostat
 from lieint_jax.groups import so3
 from lieint_jax.groups.catalogue import special_euclidean
 from lieint_jax.maps import arcsine, is_symplectic, kappa_symplectic
-from lieint_jax.schemes._exact import exact
 from lieint_jax.schemes._group_midpoint import group_midpoint
 from lieint_jax.schemes._shared.half_rotation import ITERATIONS, half_rotation
-from lieint_jax.schemes._so3_midpoint import so3_midpoint
 from lieint_jax.types import State, Step, StepInfo, pytree, static
 from lieint_jax.types.vectors import cross, matrix, unit_trace, vector
 
@@ -41,20 +34,21 @@ def default_drift(system: AbstractForcedSystem | AbstractDrivenSystem | Abstract
     """A symplectic step of `system.free`.
 
     Raises:
-        ValueError: none is known for the metric of a group.
+        ValueError: none is declared, or known for the metric of a group.
     """
     free = system.free
-    if isinstance(system, AbstractGyrostat) or isinstance(free, AbstractFreeBodies):
-        return exact(free)  # pyright: ignore[reportArgumentType, reportCallIssue]
-    if isinstance(free, AbstractFreeBody):
-        return so3_midpoint(free)
-    if isinstance(free, AbstractGeodesicFlow) and (found := _on_group(free)) is not None:
-        return found
+    if scheme := system.default_drift or free.default_drift:
+        return getattr(importlib.import_module("lieint_jax.schemes"), scheme)(free)
+    given: object = type(free).__name__
+    if isinstance(free, AbstractGeodesicFlow):
+        if (found := _on_group(free)) is not None:
+            return found
+        given = free.group
     traced = (
         "" if concrete(free) else "; one is for a bi-invariant metric whose numbers are known when the step is made"
     )
     raise ValueError(
-        f"no symplectic drift is known for {getattr(free, 'group', type(free).__name__)} with this metric{traced}: "
+        f"no symplectic drift is known for {given} with this metric{traced}: "
         "give a symmetric step of system.free, such as group_midpoint(system.free), whose form has a defect O(Δt³) per "
         "step unless the metric is bi-invariant"
     )
