@@ -51,7 +51,6 @@ Rule = Literal["symplectic", "energy", "energy_momentum", "average", "incompress
 _SHRINK = 0.1  # det G may fall to this part of itself in one Newton correction
 _FRACTIONS = (1 / 16, 1 / 8, 1 / 4, 1 / 2, 1.0)  # of a Newton correction that are tried
 
-
 PROPERTIES = SchemeProperties(
     name="additive",
     systems="elastic bodies",

@@ -36,7 +36,6 @@ __all__ = ["Composition", "compose"]
 
 _GENERAL = {4: "suzuki", 6: "kahan_li_6", 8: "kahan_li_8", 10: "sofroniou_spaletta_10"}
 
-
 PROPERTIES = SchemeProperties(
     name="compose",
     systems="any symmetric step of order 2",
@@ -86,8 +85,8 @@ class Composition(Step):
         method = default if self.method is None else self.method
         fitting = [name for name, m in METHODS.items() if m.order == order and (step.commuting or not m.counts)]
         if method not in fitting:
-            of = f"{step.name} at order {order}"
-            raise ValueError(f"method must be one of {', '.join(fitting)} for {of}, got {method!r}")
+            known = f"{', '.join(fitting)} for {step.name} at order {order}"
+            raise ValueError(f"method must be one of {known}, got {method!r}")
         return {"method": method}
 
     @property

@@ -40,7 +40,6 @@ _CHARTS = {
 _Unknowns = TypeVar("_Unknowns")
 _ROUGH = 1e-3  # the largest relative difference between the last two orders of a step that converged
 
-
 PROPERTIES = SchemeProperties(
     name="extrapolate",
     systems="any system",
@@ -87,10 +86,8 @@ class Extrapolated(Step):
         if not isinstance(system, System):
             raise ValueError(f"extrapolate integrates systems, got {type(system).__name__}")
         if any(law.held for law in laws_of(system)):
-            raise ValueError(
-                "extrapolate integrates vector fields, and a sampled law changes its torque in jumps: use "
-                "torqued_midpoint"
-            )
+            jumps = "a sampled law changes its torque in jumps: use torqued_midpoint"
+            raise ValueError(f"extrapolate integrates vector fields, and {jumps}")
         return {"form": next(name for name, chart in _CHARTS.items() if chart.supports(system))}
 
     @property

@@ -44,7 +44,6 @@ _MOST = 100  # sweeps
 _NODES = 4  # of the guess of a step with more, and its sweeps: each gains an order
 _REFINEMENTS = 60  # sweeps of the linear equations for derivatives
 
-
 PROPERTIES = SchemeProperties(
     name="gauss",
     systems="free and elastic bodies, gyrostats, tops, satellites, several bodies",

@@ -36,7 +36,6 @@ __all__ = ["GroupEnergyMomentum", "group_energy_momentum"]
 _NODES, _WEIGHTS = np.polynomial.legendre.leggauss(5)
 _NODES, _WEIGHTS = (_NODES + 1) / 2, _WEIGHTS / 2
 
-
 PROPERTIES = SchemeProperties(
     name="group_energy_momentum",
     systems="matrix groups with a potential",

@@ -47,7 +47,6 @@ __all__ = ["Langevin", "langevin"]
 _KEY, _COUNT, _HEAT, _REJECTIONS = "key", "step", "heat", "rejections"
 _MOST = 2**32  # steps with noise of their own
 
-
 PROPERTIES = SchemeProperties(
     name="langevin",
     systems="free bodies, tops, several bodies, in a heat bath",

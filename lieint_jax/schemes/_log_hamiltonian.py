@@ -31,7 +31,6 @@ _KEY = "energy"
 _OFF = 0.1  # the largest |ln((K + B)/(−V))| in a step; it is O(h²) for a state of energy E
 _STARTS = 1e-3  # the same at the start of a run
 
-
 PROPERTIES = SchemeProperties(
     name="log_hamiltonian",
     systems="tops with V < 0",

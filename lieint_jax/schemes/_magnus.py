@@ -31,7 +31,6 @@ __all__ = ["Magnus", "magnus"]
 
 _LARGEST = 0.5  # commutators over the rotation: with perpendicular rates, |ΔtΩ| = π
 
-
 PROPERTIES = SchemeProperties(
     name="magnus",
     systems="motions with given rates",

@@ -56,7 +56,6 @@ def _method_6() -> Stages:
 
 METHODS = {4: _method_4(), 6: _method_6()}  # SRKN6b and SRKN14a
 
-
 PROPERTIES = SchemeProperties(
     name="nystrom",
     systems="tops, satellites, several bodies",

@@ -25,7 +25,6 @@ __all__ = ["ReversibleControl", "reversible_control"]
 
 _KEY = "rho"
 
-
 PROPERTIES = SchemeProperties(
     name="reversible_control",
     systems="any symmetric step",

@@ -33,7 +33,6 @@ _ITERATIONS = 4  # corrections of m, which is solved for once
 _FEEDBACK = 1 / 32  # of an energy error taken back per step, where the lever is longest
 _DRIFT = 4096  # round-offs that a·h may drift from m before the step is called unconverged
 
-
 PROPERTIES = SchemeProperties(
     name="so3_explicit",
     systems="free bodies",

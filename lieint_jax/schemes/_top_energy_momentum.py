@@ -53,7 +53,6 @@ __all__ = ["TopEnergyMomentum", "top_energy_momentum"]
 
 _APART = 1e-4  # above this |ΔΓ|²/|Γ|² the quadrature is corrected so that D̄·ΔΓ = ΔṼ exactly
 
-
 PROPERTIES = SchemeProperties(
     name="top_energy_momentum",
     systems="tops, satellites",

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import copy
 import dataclasses
-from collections.abc import Callable, Hashable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Hashable, Iterable, Sequence
 from typing import Any, TypeVar, dataclass_transform
 
 import jax
@@ -51,8 +51,7 @@ def pytree(cls: type[_T]) -> type[_T]:
 
     def rebuilt(structure: tuple[object, ...], values: Iterable[object]) -> object:
         x = object.__new__(made)
-        for name, value in (*zip(fixed, structure[1:], strict=True), *zip(names, values, strict=True)):
-            object.__setattr__(x, name, value)
+        vars(x).update(zip((*fixed, *names), (*structure[1:], *values), strict=True))
         return x
 
     jax.tree_util.register_pytree_with_keys(made, leaves_with_keys, rebuilt, leaves)
@@ -66,21 +65,16 @@ def _convert(made: Any) -> None:
     """
     for x in dataclasses.fields(made):
         if x.metadata.get("converter") is not None:
-            object.__setattr__(made, x.name, x.metadata["converter"](getattr(made, x.name)))
+            vars(made)[x.name] = x.metadata["converter"](getattr(made, x.name))
     if hasattr(made, "check_fields"):
-        _set_fields(made, made.check_fields() or {})
+        vars(made).update(made.check_fields() or {})
 
 
 def with_fields(made: _T, **values: Any) -> _T:
     """A copy with other values of some fields, also of those that no constructor takes; nothing is converted."""
     copied = copy.copy(made)
-    _set_fields(copied, values)
+    vars(copied).update(values)
     return copied
-
-
-def _set_fields(made: object, values: Mapping[str, object]) -> None:
-    for name, value in values.items():
-        object.__setattr__(made, name, value)
 
 
 def callable_pytree(function: Callable[..., Any]) -> Callable[..., Any]:
