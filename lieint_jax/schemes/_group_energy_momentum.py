@@ -71,7 +71,7 @@ class GroupEnergyMomentum(Step):
     """
 
     system: AbstractMechanicalSystem = argument(converter=PROPERTIES.check)
-    tau: Tau = field(init=False)
+    tau: Tau = field(init=False)  # the exponential map
     iterations: int = static(converter=named(count, "iterations", 1), default=6)
     order: float = static(default=2, init=False)
     symmetric: bool = static(default=True, init=False)

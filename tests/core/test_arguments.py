@@ -10,7 +10,7 @@ import pytest
 
 import lieint_jax as li
 from lieint_jax import torques
-from lieint_jax.types import argument, pytree
+from lieint_jax.types import argument, pytree, static, with_fields
 
 
 def positive(value):
@@ -28,6 +28,15 @@ class Spring:
 @pytree
 class Stiffer(Spring):
     factor: float = 2.0
+
+
+@pytree
+class Chain:
+    links: int = static(converter=int)
+    joints: int = static(init=False)
+
+    def check_fields(self):
+        return {"joints": self.links - 1}
 
 
 @pytest.mark.parametrize("kind", [Spring, Stiffer])
@@ -48,7 +57,20 @@ def test_jax_rebuilds_without_a_conversion():
     assert pickle.loads(pickle.dumps(Spring(2.0))).stiffness == 2
 
 
+def test_a_field_that_follows_from_others_is_no_argument():
+    chain = Chain("4")
+    assert (chain.links, chain.joints, jax.tree.leaves(chain)) == (4, 3, [])
+    closed = with_fields(chain, joints=4)
+    assert (closed.joints, chain.joints, dataclasses.replace(closed, links=6).joints) == (4, 3, 5)
+    assert jax.tree.structure(closed) != jax.tree.structure(chain)
+    with pytest.raises(TypeError, match="unexpected keyword argument 'joints'"):
+        Chain(4, joints=4)
+
+
 def test_the_name_that_is_called_is_the_class():
+    step = li.schemes.gauss(li.systems.rigid_body([1.0, 2.0, 3.0]), stages=2)
+    assert isinstance(step, li.schemes.gauss)
+    assert (step.order, li.schemes.gauss) == (4, li.schemes.Gauss)
     law = torques.viscous([0.1, 0.2, 0.3])
     assert isinstance(law, torques.viscous)
     assert torques.viscous is torques.Viscous
