@@ -75,13 +75,13 @@ class Calibrated(Step):
             70°, 4 up to 80°, 5 to 86°, 6 to 89°; the branch ends at 90°. A step that does not converge reports
             `converged=False`.
 
+    Attributes:
+        clock: the constants s and d, which `prepare` computes; None before.
+
     Raises:
         ValueError: not a free rigid body; bad iterations.
 
     Source: McLachlan & Zanna 2005, Found. Comput. Math. 5 (that s and d exist); the closed form: this package.
-
-    Attributes:
-        clock: the constants s and d, which `prepare` computes; None before.
     """
 
     system: AbstractFreeBody = argument(converter=PROPERTIES.check)

@@ -57,14 +57,14 @@ class SO3Explicit(Step):
     Args:
         system: `systems.rigid_body(...)`, principal or full inertia.
 
+    Attributes:
+        m, gain: the root and the gain of the feedback on the energy, which `prepare` computes; None before.
+
     Raises:
         ValueError: not a free rigid body.
 
     Source: this package; that the multiplier of the discrete Moser–Veselov step is constant is due to Hairer & Vilmart
     2006, J. Phys. A 39.
-
-    Attributes:
-        m, gain: the root and the gain of the feedback on the energy, which `prepare` computes; None before.
     """
 
     system: AbstractFreeBody = argument(converter=PROPERTIES.check)
