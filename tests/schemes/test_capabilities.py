@@ -219,9 +219,9 @@ class Torque:
 @pytest.mark.long
 def test_another_force_is_refused_by_schemes_that_use_the_potential_and_taken_by_those_that_use_the_force():
     changed = li.pytree(type("Changed", (Torque, type(TOP)), {}))(TOP.inertia, TOP.potential, TOP.axis)
-    for scheme in (schemes.top_energy_momentum, schemes.gauss):
-        with pytest.raises(ValueError, match=f"{scheme.__name__} integrates .*Changed.force overrides"):
-            scheme(changed)
+    for name in ("top_energy_momentum", "gauss"):
+        with pytest.raises(ValueError, match=f"{name} integrates .*Changed.force overrides"):
+            getattr(schemes, name)(changed)
     state, dt = TOP.state(angular_velocity=[0.1, 0.2, 1.0]), 0.02
     twice = li.systems.potential_top(TOP.inertia, li.systems.LinearPotential(2 * TOP.potential.weight), TOP.axis)
     expected = schemes.splitting(twice)(state, dt)[0]
