@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import TYPE_CHECKING
+
 import jax.numpy as jnp
 from jax import Array
 from numpy.typing import ArrayLike
@@ -41,6 +43,9 @@ class RigidBody(Body, AbstractFreeBody):
     """
 
     inertia: Array = argument(converter=as_inertia)
+    if TYPE_CHECKING:  # mypy knows no converters
+
+        def __init__(self, inertia: ArrayLike) -> None: ...
 
     def solution(self, state: State, t: Array | float) -> State:
         """The exact state after a time t of any size and sign, in Jacobi's elliptic functions; π is equal bit for bit.
