@@ -23,7 +23,11 @@ from lieint_jax.systems import PseudoRigidBody
 from lieint_jax.types import State
 from lieint_jax.types.shapes import PyTree
 
-_LAWS = {law.__name__: law for law in (systems.mooney_rivlin, systems.neo_hookean, systems.saint_venant_kirchhoff)}
+_LAWS = {
+    "mooney_rivlin": systems.mooney_rivlin,
+    "neo_hookean": systems.neo_hookean,
+    "saint_venant_kirchhoff": systems.saint_venant_kirchhoff,
+}
 _LONGEST = 4_000  # largest number of drawn steps, which are all saved, since a delay plot needs each
 
 Matrix = Annotated[list[keys.Triple], Field(min_length=3, max_length=3)]
