@@ -22,7 +22,7 @@ from numpy.typing import ArrayLike
 
 from lieint_jax._checks import concrete, for_each, named, positive, real_array
 from lieint_jax.potentials import Potential
-from lieint_jax.types import PairLaw, argument, pytree
+from lieint_jax.types import Converted, PairLaw, argument, pytree
 
 __all__ = [
     "LaggingTides",
@@ -151,12 +151,12 @@ class LaggingTides(PairLaw):
     1981, Astron. Astrophys. 99; Eggleton, Kiseleva & Hut 1998, Astrophys. J. 499, (45).
     """
 
-    G: Array = argument(converter=named(positive, "G"))
-    masses: Array = argument(converter=_masses)
-    radii: Array = argument(converter=named(real_array, "radii"))
-    k2: Array = argument(converter=named(real_array, "k2"))
-    lags: Array = argument(converter=named(real_array, "lags"))
-    times: Array = argument(converter=named(real_array, "times", optional=True), default=None, kw_only=True)
+    G: Converted[Array] = argument(converter=named(positive, "G"))
+    masses: Converted[Array] = argument(converter=_masses)
+    radii: Converted[Array] = argument(converter=named(real_array, "radii"))
+    k2: Converted[Array] = argument(converter=named(real_array, "k2"))
+    lags: Converted[Array] = argument(converter=named(real_array, "lags"))
+    times: Converted[Array] = argument(converter=named(real_array, "times", optional=True), default=None, kw_only=True)
 
     def check_fields(self) -> dict[str, Array]:
         """A number for each body; ValueError if shapes disagree or a number is out of range."""

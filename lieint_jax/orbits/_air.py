@@ -17,7 +17,7 @@ from lieint_jax.orbits._from_state import KeplerFromState
 from lieint_jax.orbits._kepler import Kepler
 from lieint_jax.orbits._secular import SecularJ2
 from lieint_jax.orbits._table import Table
-from lieint_jax.types import argument, callable_pytree, pytree
+from lieint_jax.types import Converted, argument, callable_pytree, pytree
 from lieint_jax.types.vectors import cross, norm
 
 __all__ = ["Air", "atmosphere"]
@@ -53,13 +53,13 @@ class Air:
     Source: Vallado 2013, Fundamentals of Astrodynamics, table 8-4.
     """
 
-    orbit: Any = argument(converter=callable_pytree)
-    density: Array = argument(converter=named(positive, "density"))
-    scale_height: Array = argument(converter=named(positive, "scale_height"))
-    height: Array = argument(converter=named(not_negative, "height"))
+    orbit: Converted[Any] = argument(converter=callable_pytree)
+    density: Converted[Array] = argument(converter=named(positive, "density"))
+    scale_height: Converted[Array] = argument(converter=named(positive, "scale_height"))
+    height: Converted[Array] = argument(converter=named(not_negative, "height"))
     _: dataclasses.KW_ONLY
-    radius: Array = argument(converter=named(positive, "radius"), default=EARTH_RADIUS)
-    rate: Array = argument(converter=named(_checks.real_array, "rate", ()), default=EARTH_RATE)
+    radius: Converted[Array] = argument(converter=named(positive, "radius"), default=EARTH_RADIUS)
+    rate: Converted[Array] = argument(converter=named(_checks.real_array, "rate", ()), default=EARTH_RATE)
 
     def check_fields(self) -> None:
         """Raise ValueError if the orbit is below the ground or in another unit."""

@@ -13,7 +13,7 @@ from lieint_jax import _checks
 from lieint_jax.groups import so3
 from lieint_jax.orbits._from_state import KeplerFromState
 from lieint_jax.orbits._kepler import Kepler
-from lieint_jax.types import argument, callable_pytree, pytree
+from lieint_jax.types import Converted, argument, callable_pytree, pytree
 from lieint_jax.types.vectors import cross, dot, norm
 
 __all__ = ["LocalFrame", "lvlh"]
@@ -33,7 +33,7 @@ class LocalFrame:
         ValueError: `orbit` is not such a function.
     """
 
-    orbit: Any = argument(converter=lambda orbit: callable_pytree(_checks.orbit(orbit)))
+    orbit: Converted[Any] = argument(converter=lambda orbit: callable_pytree(_checks.orbit(orbit)))
 
     def __call__(self, t: ArrayLike) -> Array:
         """The attitude of the frame at time t: the unit quaternion (4,) from its axes to those of space, q₀ ≥ 0."""

@@ -11,7 +11,7 @@ from jax.typing import ArrayLike
 from lieint_jax._checks import concrete, named, real_array
 from lieint_jax.orbits._anomaly import elliptic_anomaly, hyperbolic_anomaly, less_sine, sinh_less, slope
 from lieint_jax.orbits._kepler import Kepler
-from lieint_jax.types import argument, pytree
+from lieint_jax.types import Converted, argument, pytree
 from lieint_jax.types.vectors import cross, dot, norm
 
 __all__ = ["KeplerFromState", "from_state"]
@@ -51,10 +51,10 @@ class KeplerFromState:
         0.0
     """
 
-    mu: Array = argument(converter=named(real_array, "mu", ()))
-    position: Array = argument(converter=named(real_array, "position", (3,)))
-    velocity: Array = argument(converter=named(real_array, "velocity", (3,)))
-    t: Array = argument(converter=named(real_array, "t", ()), default=0.0)
+    mu: Converted[Array] = argument(converter=named(real_array, "mu", ()))
+    position: Converted[Array] = argument(converter=named(real_array, "position", (3,)))
+    velocity: Converted[Array] = argument(converter=named(real_array, "velocity", (3,)))
+    t: Converted[Array] = argument(converter=named(real_array, "t", ()), default=0.0)
 
     def check_fields(self) -> dict[str, Array]:
         """All fields in one dtype; ValueError if no ellipse or hyperbola passes there."""

@@ -15,7 +15,7 @@ from lieint_jax.dates import Epoch
 from lieint_jax.orbits._air import above_ground
 from lieint_jax.orbits._anomaly import less_sine
 from lieint_jax.orbits._earth import EARTH_RADIUS, days_since_j2000
-from lieint_jax.types import argument, callable_pytree, pytree, static
+from lieint_jax.types import Converted, argument, callable_pytree, pytree, static
 from lieint_jax.types.vectors import cross, dot, norm
 
 __all__ = ["Eclipse", "SunDirection", "eclipse", "sun_direction"]
@@ -95,11 +95,11 @@ class Eclipse:
     Source: Montenbruck & Gill 2000, Satellite Orbits, 3.4.2.
     """
 
-    orbit: Any = argument(converter=callable_pytree)
-    sun: Any = argument(converter=_sun)
-    radius: Array = argument(converter=named(positive, "radius"), default=EARTH_RADIUS)
-    shadow: Literal["conical", "cylindrical"] = static(converter=_shadow, default="conical")
-    angle: Array = argument(converter=named(positive, "angle"), default=SUN_ANGLE, kw_only=True)
+    orbit: Converted[Any] = argument(converter=callable_pytree)
+    sun: Converted[Any] = argument(converter=_sun)
+    radius: Converted[Array] = argument(converter=named(positive, "radius"), default=EARTH_RADIUS)
+    shadow: Converted[Literal["conical", "cylindrical"]] = static(converter=_shadow, default="conical")
+    angle: Converted[Array] = argument(converter=named(positive, "angle"), default=SUN_ANGLE, kw_only=True)
 
     def check_fields(self) -> None:
         """Raise ValueError if the orbit is below the ground or in another unit."""

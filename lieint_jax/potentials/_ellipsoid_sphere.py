@@ -17,7 +17,7 @@ from lieint_jax._checks import named, positive
 from lieint_jax._numerics import newton
 from lieint_jax._numerics.elliptic import carlson_rf_rd
 from lieint_jax.potentials._potential import Potential
-from lieint_jax.types import argument, pytree
+from lieint_jax.types import Converted, argument, pytree
 from lieint_jax.types.shapes import Positions, Rotations, Scalar
 
 __all__ = ["EllipsoidSphere", "ellipsoid_sphere"]
@@ -42,9 +42,9 @@ class EllipsoidSphere(Potential):
     19.16.
     """
 
-    G: Array = argument(converter=named(_checks.real_array, "G", ()))
-    masses: Array = argument(converter=named(positive, "masses", (2,)))
-    semi_axes: Array = argument(converter=named(positive, "semi_axes", (3,)))
+    G: Converted[Array] = argument(converter=named(_checks.real_array, "G", ()))
+    masses: Converted[Array] = argument(converter=named(positive, "masses", (2,)))
+    semi_axes: Converted[Array] = argument(converter=named(positive, "semi_axes", (3,)))
 
     @property
     def count(self) -> int:

@@ -13,7 +13,7 @@ from lieint_jax import _checks
 from lieint_jax._checks import concrete, named
 from lieint_jax.groups import so3
 from lieint_jax.potentials._potential import Potential
-from lieint_jax.types import argument, callable_pytree, pytree, with_fields
+from lieint_jax.types import Converted, argument, callable_pytree, pytree, with_fields
 from lieint_jax.types.shapes import PoseMomenta, Positions, Rotations, Scalar
 
 __all__ = ["Held", "held"]
@@ -57,9 +57,9 @@ class Held(Potential):
             `lieint_jax.potentials`.
     """
 
-    potential: Potential = argument(converter=_without_ends)
-    first: Pose = argument(converter=named(_pose, "first", optional=True), default=None)
-    last: Pose = argument(converter=named(_pose, "last", optional=True), default=None)
+    potential: Converted[Potential] = argument(converter=_without_ends)
+    first: Converted[Pose] = argument(converter=named(_pose, "first", optional=True), default=None)
+    last: Converted[Pose] = argument(converter=named(_pose, "last", optional=True), default=None)
 
     def check_fields(self) -> None:
         """Raise ValueError if no end is given."""

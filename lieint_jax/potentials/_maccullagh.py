@@ -9,7 +9,7 @@ from jax import Array
 from lieint_jax._checks import named, of_shapes, real_array
 from lieint_jax._xla import materialized
 from lieint_jax.potentials._potential import Potential
-from lieint_jax.types import argument, pytree, vectors
+from lieint_jax.types import Converted, argument, pytree, vectors
 from lieint_jax.types.shapes import PoseMomenta, Positions, Rotations, Scalar
 
 __all__ = ["MacCullagh", "maccullagh"]
@@ -32,9 +32,9 @@ class MacCullagh(Potential):
         ValueError: the shapes of the arguments disagree.
     """
 
-    G: Array = argument(converter=named(real_array, "G", ()))
-    masses: Array = argument(converter=lambda given: real_array("masses", of_shapes("mass", given)))
-    inertias: Array = argument(converter=lambda given: real_array("inertias", of_shapes("inertia", given)))
+    G: Converted[Array] = argument(converter=named(real_array, "G", ()))
+    masses: Converted[Array] = argument(converter=lambda given: real_array("masses", of_shapes("mass", given)))
+    inertias: Converted[Array] = argument(converter=lambda given: real_array("inertias", of_shapes("inertia", given)))
 
     def check_fields(self) -> None:
         """Raise ValueError if the shapes disagree."""

@@ -10,7 +10,7 @@ from jax import Array
 
 from lieint_jax._checks import for_each, named, not_negative, real_array
 from lieint_jax.potentials._potential import Potential
-from lieint_jax.types import argument, pytree, static
+from lieint_jax.types import Converted, argument, pytree, static
 from lieint_jax.types.shapes import Positions, Rotations, Scalar
 
 __all__ = ["Springs", "springs"]
@@ -44,10 +44,10 @@ class Springs(Potential):
             negative.
     """
 
-    bodies: tuple[tuple[int, int], ...] = static(converter=_pairs)
-    points: Array = argument(converter=named(real_array, "points"))
-    stiffness: Array = argument(converter=named(real_array, "stiffness"))
-    lengths: Array = argument(converter=named(real_array, "lengths"), default=0.0)
+    bodies: Converted[tuple[tuple[int, int], ...]] = static(converter=_pairs)
+    points: Converted[Array] = argument(converter=named(real_array, "points"))
+    stiffness: Converted[Array] = argument(converter=named(real_array, "stiffness"))
+    lengths: Converted[Array] = argument(converter=named(real_array, "lengths"), default=0.0)
 
     def check_fields(self) -> dict[str, Array]:
         """A stiffness and a length for each spring; ValueError if shapes disagree."""

@@ -42,7 +42,7 @@ from lieint_jax._numerics import small_linalg as la
 from lieint_jax._numerics.equation import ImplicitEquation
 from lieint_jax.capabilities import AbstractElasticBody, AbstractIncompressibleBody, AbstractViscousBody
 from lieint_jax.schemes._catalogue import SchemeProperties
-from lieint_jax.types import State, Step, StepInfo, StoredEnergy, argument, pytree, static
+from lieint_jax.types import Converted, State, Step, StepInfo, StoredEnergy, argument, pytree, static
 from lieint_jax.types.vectors import Matrix, Symmetric, Vector, dot, matrix, max_abs, mean_cofactor, symmetric
 
 __all__ = ["Additive", "additive"]
@@ -106,12 +106,12 @@ class Additive(Step):
     Mech. Engrg. 190, and McLachlan, Quispel & Robidoux 1999.
     """
 
-    system: AbstractElasticBody | AbstractViscousBody | AbstractIncompressibleBody = argument(
+    system: Converted[AbstractElasticBody | AbstractViscousBody | AbstractIncompressibleBody] = argument(
         converter=PROPERTIES.check
     )
     rule: Rule = static(default="average")
-    alpha: Array = argument(converter=named(fraction, "alpha"), default=0.5)
-    iterations: int = static(converter=named(count, "iterations", 1), default=25)
+    alpha: Converted[Array] = argument(converter=named(fraction, "alpha"), default=0.5)
+    iterations: Converted[int] = static(converter=named(count, "iterations", 1), default=25)
     order: float = static(init=False)
     symmetric: bool = static(init=False)
 

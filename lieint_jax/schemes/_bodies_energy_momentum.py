@@ -40,7 +40,7 @@ from lieint_jax.capabilities import AbstractDissipativeBodies, AbstractRigidBodi
 from lieint_jax.groups import so3
 from lieint_jax.potentials import Potential, SumPotential, given_poses, invariant_form, is_chain, torques
 from lieint_jax.schemes._catalogue import SchemeProperties
-from lieint_jax.types import State, Step, StepInfo, argument, pytree, static
+from lieint_jax.types import Converted, State, Step, StepInfo, argument, pytree, static
 from lieint_jax.types.vectors import cross, matrix, symmetric, unit_trace, vector
 
 __all__ = ["BodiesEnergyMomentum", "bodies_energy_momentum"]
@@ -108,8 +108,8 @@ class BodiesEnergyMomentum(Step):
     contraction, Deuflhard 2011, Newton Methods for Nonlinear Problems, 2.1.
     """
 
-    system: AbstractRigidBodies | AbstractDissipativeBodies = argument(converter=PROPERTIES.check)
-    iterations: int = static(converter=named(count, "iterations", 1), default=50)
+    system: Converted[AbstractRigidBodies | AbstractDissipativeBodies] = argument(converter=PROPERTIES.check)
+    iterations: Converted[int] = static(converter=named(count, "iterations", 1), default=50)
     solver: str | None = static(default=None)
     order: float = static(default=2, init=False)
     symmetric: bool = static(default=True, init=False)

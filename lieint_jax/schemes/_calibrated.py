@@ -26,7 +26,7 @@ from lieint_jax.capabilities import AbstractFreeBody
 from lieint_jax.groups import so3
 from lieint_jax.schemes._catalogue import SchemeProperties
 from lieint_jax.schemes._preprocessed import with_modified_inertia
-from lieint_jax.types import State, Step, StepInfo, argument, pytree, static, with_fields
+from lieint_jax.types import Converted, State, Step, StepInfo, argument, pytree, static, with_fields
 from lieint_jax.types.vectors import cross, dot, norm, symmetric
 
 __all__ = ["Calibrated", "calibrated"]
@@ -84,9 +84,9 @@ class Calibrated(Step):
     Source: McLachlan & Zanna 2005, Found. Comput. Math. 5 (that s and d exist); the closed form: this package.
     """
 
-    system: AbstractFreeBody = argument(converter=PROPERTIES.check)
+    system: Converted[AbstractFreeBody] = argument(converter=PROPERTIES.check)
     clock: Clock | None = field(default=None, init=False)
-    iterations: int | None = static(converter=named(count, "iterations", 1, optional=True), default=None)
+    iterations: Converted[int | None] = static(converter=named(count, "iterations", 1, optional=True), default=None)
     order: float = static(default=math.inf, init=False)
     symmetric: bool = static(default=True, init=False)
     commuting = True

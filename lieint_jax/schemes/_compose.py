@@ -30,7 +30,7 @@ from lieint_jax._numerics.stages import compose_stages
 from lieint_jax.schemes._catalogue import SchemeProperties
 from lieint_jax.schemes._shared.compositions import METHODS
 from lieint_jax.schemes._so3_midpoint import examples as base_examples
-from lieint_jax.types import State, Step, StepInfo, System, clock, counts_work, pytree, static
+from lieint_jax.types import Converted, State, Step, StepInfo, System, clock, counts_work, pytree, static
 
 __all__ = ["Composition", "compose"]
 
@@ -71,7 +71,7 @@ class Composition(Step):
 
     step: Step
     order: float = static()
-    method: str = static(converter=optional, default=None)
+    method: Converted[str] = static(converter=optional, default=None)
     symmetric: bool = static(default=True, init=False)
 
     def check_fields(self) -> dict[str, str]:

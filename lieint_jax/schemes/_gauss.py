@@ -36,7 +36,7 @@ from lieint_jax.capabilities import (
 )
 from lieint_jax.schemes._catalogue import SchemeProperties
 from lieint_jax.schemes.charts.canonical import CanonicalChart, Coordinates, Increments, canonical_chart
-from lieint_jax.types import State, Step, StepInfo, System, argument, pytree, static
+from lieint_jax.types import Converted, State, Step, StepInfo, System, argument, pytree, static
 
 __all__ = ["Gauss", "gauss"]
 
@@ -92,9 +92,9 @@ class Gauss(Step):
     Numer. Algorithms 76.
     """
 
-    system: System = argument(converter=PROPERTIES.check)
-    stages: int = static(converter=named(count, "stages", 1), default=8)
-    sweeps: int | None = static(converter=named(count, "sweeps", 1, optional=True), default=None)
+    system: Converted[System] = argument(converter=PROPERTIES.check)
+    stages: Converted[int] = static(converter=named(count, "stages", 1), default=8)
+    sweeps: Converted[int | None] = static(converter=named(count, "sweeps", 1, optional=True), default=None)
     order: float = static(init=False)
     symmetric: bool = static(default=True, init=False)
 

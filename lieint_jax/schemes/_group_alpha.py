@@ -25,7 +25,7 @@ from lieint_jax.capabilities import AbstractGeodesicFlow, AbstractMechanicalSyst
 from lieint_jax.maps import Tau, as_tau, exponential
 from lieint_jax.schemes._catalogue import SchemeProperties
 from lieint_jax.schemes._shared.group_newton import Equation, any_map, as_vector
-from lieint_jax.types import State, Step, StepInfo, argument, pytree, static
+from lieint_jax.types import Converted, State, Step, StepInfo, argument, pytree, static
 
 __all__ = ["GroupAlpha", "group_alpha"]
 
@@ -74,10 +74,10 @@ class GroupAlpha(Step):
     Source: Lewis & Simo 1994, Results 12 to 14, Appendix B; the place of the force: (6.5), (6.9) and (6.17).
     """
 
-    system: AbstractGeodesicFlow | AbstractMechanicalSystem = argument(converter=PROPERTIES.check)
-    alpha: Array = argument(converter=named(fraction, "alpha"), default=0.5)
-    tau: Tau = argument(converter=any_map, default=exponential)
-    iterations: int = static(converter=named(count, "iterations", 1), default=8)
+    system: Converted[AbstractGeodesicFlow | AbstractMechanicalSystem] = argument(converter=PROPERTIES.check)
+    alpha: Converted[Array] = argument(converter=named(fraction, "alpha"), default=0.5)
+    tau: Converted[Tau] = argument(converter=any_map, default=exponential)
+    iterations: Converted[int] = static(converter=named(count, "iterations", 1), default=8)
     order: float = static(init=False)
     symmetric: bool = static(init=False)
 

@@ -29,7 +29,7 @@ from lieint_jax.capabilities import AbstractMechanicalSystem
 from lieint_jax.maps import Tau, as_tau, exponential
 from lieint_jax.schemes._catalogue import SchemeProperties
 from lieint_jax.schemes._shared.group_newton import Equation, as_vector
-from lieint_jax.types import State, Step, StepInfo, argument, pytree, static
+from lieint_jax.types import Converted, State, Step, StepInfo, argument, pytree, static
 
 __all__ = ["GroupEnergyMomentum", "group_energy_momentum"]
 
@@ -70,9 +70,9 @@ class GroupEnergyMomentum(Step):
     Source: Lewis & Simo 1994, Result 13; the discrete force: this package.
     """
 
-    system: AbstractMechanicalSystem = argument(converter=PROPERTIES.check)
+    system: Converted[AbstractMechanicalSystem] = argument(converter=PROPERTIES.check)
     tau: Tau = field(init=False)  # the exponential map
-    iterations: int = static(converter=named(count, "iterations", 1), default=6)
+    iterations: Converted[int] = static(converter=named(count, "iterations", 1), default=6)
     order: float = static(default=2, init=False)
     symmetric: bool = static(default=True, init=False)
 

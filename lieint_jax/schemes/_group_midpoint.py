@@ -30,7 +30,7 @@ from lieint_jax.capabilities import AbstractGeodesicFlow, AbstractRightGeodesicF
 from lieint_jax.maps import Tau, as_tau, cayley, cayley_lands, exponential
 from lieint_jax.schemes._catalogue import SchemeProperties
 from lieint_jax.schemes._shared.group_newton import Equation, ad_star_matrix, any_map, as_vector
-from lieint_jax.types import State, Step, StepInfo, argument, pytree, static
+from lieint_jax.types import Converted, State, Step, StepInfo, argument, pytree, static
 
 __all__ = ["GroupMidpoint", "group_midpoint"]
 
@@ -77,9 +77,9 @@ class GroupMidpoint(Step):
     Source: Lewis & Simo 1994, Results 9–11.
     """
 
-    system: AbstractGeodesicFlow | AbstractRightGeodesicFlow = argument(converter=PROPERTIES.check)
-    tau: Tau = argument(converter=any_map, default=exponential)
-    iterations: int = static(converter=named(count, "iterations", 1), default=8)
+    system: Converted[AbstractGeodesicFlow | AbstractRightGeodesicFlow] = argument(converter=PROPERTIES.check)
+    tau: Converted[Tau] = argument(converter=any_map, default=exponential)
+    iterations: Converted[int] = static(converter=named(count, "iterations", 1), default=8)
     order: float = static(init=False)
     symmetric: bool = static(init=False)
 

@@ -39,7 +39,7 @@ from lieint_jax.groups import so3
 from lieint_jax.schemes._catalogue import SchemeProperties
 from lieint_jax.schemes._exact import exact
 from lieint_jax.schemes._splitting import Splitting, kick
-from lieint_jax.types import State, Step, StepInfo, System, argument, pytree, static
+from lieint_jax.types import Converted, State, Step, StepInfo, System, argument, pytree, static
 from lieint_jax.types.vectors import symmetric
 
 __all__ = ["Langevin", "langevin"]
@@ -100,11 +100,11 @@ class Langevin(Step):
     J. Chem. Phys. 130; Metropolized: Bou-Rabee & Owhadi 2010, SIAM J. Numer. Anal. 48.
     """
 
-    system: Any = argument(converter=PROPERTIES.check)
+    system: Converted[Any] = argument(converter=PROPERTIES.check)
     drift: Step = field(init=False)  # the exact step of the free motion
     temperature: ArrayLike
     friction: npt.ArrayLike
-    metropolis: bool = static(converter=bool, default=False)
+    metropolis: Converted[bool] = static(converter=bool, default=False)
     order: float = static(default=2, init=False)
     symmetric: bool = static(default=False, init=False)
 

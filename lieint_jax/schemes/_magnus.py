@@ -24,7 +24,7 @@ from lieint_jax._numerics import collocation
 from lieint_jax.capabilities import AbstractKinematics
 from lieint_jax.groups import MatrixGroup, so3
 from lieint_jax.schemes._catalogue import SchemeProperties
-from lieint_jax.types import AnalyticGroup, State, Step, StepInfo, argument, clock, pytree, static
+from lieint_jax.types import AnalyticGroup, Converted, State, Step, StepInfo, argument, clock, pytree, static
 from lieint_jax.types.shapes import AlgebraVector, GroupElement
 
 __all__ = ["Magnus", "magnus"]
@@ -68,9 +68,9 @@ class Magnus(Step):
     Source: Blanes, Casas & Ros, BIT 40 (2000) 434; Blanes & Moan, Appl. Numer. Math. 56 (2006) 1519, commutator-free.
     """
 
-    system: AbstractKinematics = argument(converter=PROPERTIES.check)
+    system: Converted[AbstractKinematics] = argument(converter=PROPERTIES.check)
     order: float = static(default=4)
-    commutators: bool = static(converter=bool, default=True, kw_only=True)
+    commutators: Converted[bool] = static(converter=bool, default=True, kw_only=True)
     symmetric: bool = static(default=True, init=False)
 
     def check_fields(self) -> None:

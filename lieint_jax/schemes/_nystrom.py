@@ -24,7 +24,7 @@ from lieint_jax.schemes._catalogue import SchemeProperties, hint
 from lieint_jax.schemes._exact import exact
 from lieint_jax.schemes._preprocessed import preprocessed
 from lieint_jax.schemes._splitting import kick
-from lieint_jax.types import State, Step, StepInfo, argument, pytree, static
+from lieint_jax.types import Converted, State, Step, StepInfo, argument, pytree, static
 
 __all__ = ["Nystrom", "nystrom"]
 
@@ -98,7 +98,7 @@ class Nystrom(Step):
 
     system: AbstractForcedSystem | AbstractDrivenSystem
     order: float = static()
-    drift: Step = argument(converter=optional, default=None)
+    drift: Converted[Step] = argument(converter=optional, default=None)
     symmetric: bool = static(default=True, init=False)
 
     def check_fields(self) -> dict[str, Step]:

@@ -35,7 +35,7 @@ from lieint_jax.schemes._shared.half_rotation import (
     gyroscopic,
     on_branch,
 )
-from lieint_jax.types import State, Step, StepInfo, argument, pytree, static
+from lieint_jax.types import Converted, State, Step, StepInfo, argument, pytree, static
 from lieint_jax.types.vectors import (
     Matrix,
     Symmetric,
@@ -99,10 +99,10 @@ class SO3Alpha(Step):
     Source: Lewis & Simo 1994, (2.14)–(2.22), Results 1 and 2; T_α and ν corrected.
     """
 
-    system: AbstractEmbeddedBody = argument(converter=PROPERTIES.check)
-    alpha: Array = argument(converter=named(fraction, "alpha"), default=0.5)
-    kappa: Kappa = argument(converter=as_kappa, default=kappa_cayley)
-    iterations: int = static(converter=named(count, "iterations", 1), default=ITERATIONS["vector"])
+    system: Converted[AbstractEmbeddedBody] = argument(converter=PROPERTIES.check)
+    alpha: Converted[Array] = argument(converter=named(fraction, "alpha"), default=0.5)
+    kappa: Converted[Kappa] = argument(converter=as_kappa, default=kappa_cayley)
+    iterations: Converted[int] = static(converter=named(count, "iterations", 1), default=ITERATIONS["vector"])
     order: float = static(init=False)
     symmetric: bool = static(init=False)
 

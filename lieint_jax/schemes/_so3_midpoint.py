@@ -44,7 +44,7 @@ from lieint_jax.schemes._shared.half_rotation import (
     scaled,
 )
 from lieint_jax.schemes._shared.inertia_in_time import advice_in_time, step_in_time
-from lieint_jax.types import State, Step, StepInfo, argument, clock, pytree, static, with_fields
+from lieint_jax.types import Converted, State, Step, StepInfo, argument, clock, pytree, static, with_fields
 from lieint_jax.types.vectors import cross, dot, symmetric, vector
 
 __all__ = ["SO3Midpoint", "so3_midpoint"]
@@ -107,11 +107,11 @@ class SO3Midpoint(Step):
     Source: Lewis & Simo 1994, Results 1–5; scalar form and quaternion increments: this package.
     """
 
-    system: AbstractFreeBody | AbstractFreeBodyInTime | AbstractGyrostat | AbstractDrivenGyrostat = argument(
+    system: Converted[AbstractFreeBody | AbstractFreeBodyInTime | AbstractGyrostat | AbstractDrivenGyrostat] = argument(
         converter=PROPERTIES.check
     )
-    kappa: Kappa = argument(converter=as_kappa, default=kappa_symplectic)
-    iterations: int = static(converter=named(count, "iterations", 1, optional=True), default=None)
+    kappa: Converted[Kappa] = argument(converter=as_kappa, default=kappa_symplectic)
+    iterations: Converted[int] = static(converter=named(count, "iterations", 1, optional=True), default=None)
     order: float = static(default=2, init=False)
     symmetric: bool = static(default=True, init=False)
 

@@ -34,7 +34,7 @@ from lieint_jax.groups import so3
 from lieint_jax.maps import KAPPAS, Kappa, as_kappa, kappa_cayley
 from lieint_jax.schemes._catalogue import SchemeProperties
 from lieint_jax.schemes._shared.half_rotation import gyration, gyration_matrix, on_branch
-from lieint_jax.types import PotentialWithGradient, State, Step, StepInfo, argument, clock, pytree, static
+from lieint_jax.types import Converted, PotentialWithGradient, State, Step, StepInfo, argument, clock, pytree, static
 from lieint_jax.types.vectors import (
     Matrix,
     Symmetric,
@@ -97,9 +97,9 @@ class TopEnergyMomentum(Step):
     J. Nonlinear Sci. 6.
     """
 
-    system: AbstractTop | AbstractDrivenTop = argument(converter=PROPERTIES.check)
-    kappa: Kappa = argument(converter=as_kappa, default=kappa_cayley)
-    iterations: int = static(converter=named(count, "iterations", 1, optional=True), default=None)
+    system: Converted[AbstractTop | AbstractDrivenTop] = argument(converter=PROPERTIES.check)
+    kappa: Converted[Kappa] = argument(converter=as_kappa, default=kappa_cayley)
+    iterations: Converted[int] = static(converter=named(count, "iterations", 1, optional=True), default=None)
     order: float = static(default=2, init=False)
     symmetric: bool = static(default=True, init=False)
 

@@ -9,7 +9,7 @@ from lieint_jax._checks import concrete, named
 from lieint_jax.capabilities import AbstractDampedBody
 from lieint_jax.systems._catalogue import SystemProperties
 from lieint_jax.systems._shared.body import TimedBody, as_inertia
-from lieint_jax.types import State, argument, pytree
+from lieint_jax.types import Converted, State, argument, pytree
 
 __all__ = ["DampedBody", "damped_body"]
 
@@ -36,8 +36,8 @@ class DampedBody(TimedBody, AbstractDampedBody):
         >>> state = body.state(angular_velocity=[1.0, 0.1, 0.1], work=0.0)
     """
 
-    inertia: Array = argument(converter=as_inertia)
-    friction: Array = argument(converter=named(_checks.real_array, "friction", ()), like="inertia")
+    inertia: Converted[Array] = argument(converter=as_inertia)
+    friction: Converted[Array] = argument(converter=named(_checks.real_array, "friction", ()), like="inertia")
 
     def check_fields(self) -> None:
         """Raise ValueError if the friction is negative."""

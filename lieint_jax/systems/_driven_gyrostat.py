@@ -14,7 +14,7 @@ from lieint_jax.systems._catalogue import SystemProperties
 from lieint_jax.systems._gyrostat import Gyrostat
 from lieint_jax.systems._shared.arguments import check_timed, explained, timed
 from lieint_jax.systems._shared.body import as_inertia
-from lieint_jax.types import State, argument, callable_pytree, clock, from_fields, pytree
+from lieint_jax.types import Converted, State, argument, callable_pytree, clock, from_fields, pytree
 from lieint_jax.types.shapes import MomentumMap, Scalar, Time, Vector3
 
 __all__ = ["DrivenGyrostat", "SpinUpMotor", "driven_gyrostat"]
@@ -47,8 +47,8 @@ class DrivenGyrostat(capabilities.AbstractDrivenGyrostat):
         [0.1, 0.0, 0.0]
     """
 
-    inertia: Array = argument(converter=as_inertia)
-    motor: Callable[[Array], Array] = argument(converter=callable_pytree)
+    inertia: Converted[Array] = argument(converter=as_inertia)
+    motor: Converted[Callable[[Array], Array]] = argument(converter=callable_pytree)
 
     def check_fields(self) -> None:
         """Raise ValueError if the motor is no function of time."""

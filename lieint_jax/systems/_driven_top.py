@@ -16,7 +16,7 @@ from lieint_jax.systems._heavy_top import LinearPotential
 from lieint_jax.systems._potential_top import checked_axis
 from lieint_jax.systems._rigid_body import WithFreeBody
 from lieint_jax.systems._shared.body import TimedBody, as_inertia
-from lieint_jax.types import State, System, argument, callable_pytree, check_gradient, clock, pytree, vectors
+from lieint_jax.types import Converted, State, System, argument, callable_pytree, check_gradient, clock, pytree, vectors
 from lieint_jax.types.shapes import Matrix3, MomentumMap, Scalar, Time, Vector3
 
 __all__ = ["DrivenTop", "driven_top"]
@@ -88,9 +88,11 @@ class DrivenTop(MovedBody):
         >>> state = top.state(angular_velocity=[0.1, 0.2, 1.0], t=0.0, work=0.0)
     """
 
-    inertia: Array = argument(converter=as_inertia)
-    potential: Callable[[Array, Array], Array] = argument(converter=callable_pytree)
-    axis: Callable[[Array], Array] | Array | None = argument(converter=_axis, like="inertia", default=(0.0, 0.0, 1.0))
+    inertia: Converted[Array] = argument(converter=as_inertia)
+    potential: Converted[Callable[[Array, Array], Array]] = argument(converter=callable_pytree)
+    axis: Converted[Callable[[Array], Array] | Array | None] = argument(
+        converter=_axis, like="inertia", default=(0.0, 0.0, 1.0)
+    )
 
     def check_fields(self) -> None:
         """Raise ValueError if the potential is no function of Γ and t, or without an axis of Λ and t."""

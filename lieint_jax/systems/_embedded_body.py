@@ -8,7 +8,7 @@ from lieint_jax import _checks, capabilities
 from lieint_jax.groups import so3
 from lieint_jax.systems._catalogue import SystemProperties
 from lieint_jax.systems._shared.body import Body, as_inertia
-from lieint_jax.types import State, argument, pytree, vectors
+from lieint_jax.types import Converted, State, argument, pytree, vectors
 
 __all__ = ["EmbeddedBody", "embedded_body"]
 
@@ -35,7 +35,7 @@ class EmbeddedBody(Body, capabilities.AbstractEmbeddedBody):
         ((3, 3), 1.52)
     """
 
-    inertia: Array = argument(converter=as_inertia)
+    inertia: Converted[Array] = argument(converter=as_inertia)
 
     configuration = staticmethod(so3.to_matrix)
 

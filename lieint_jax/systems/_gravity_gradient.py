@@ -16,7 +16,7 @@ from lieint_jax.systems._catalogue import SystemProperties
 from lieint_jax.systems._driven_top import MovedBody
 from lieint_jax.systems._potential_top import QuadraticPotential
 from lieint_jax.systems._shared.body import as_inertia
-from lieint_jax.types import State, System, argument, callable_pytree, pytree, vectors
+from lieint_jax.types import Converted, State, System, argument, callable_pytree, pytree, vectors
 from lieint_jax.types.shapes import Time, Vector3
 
 __all__ = ["GravityGradient", "gravity_gradient"]
@@ -62,9 +62,9 @@ class GravityGradient(MovedBody):
         >>> state = satellite.state(angular_velocity=[0.0, 0.0, 1.0], t=0.0, work=0.0)
     """
 
-    inertia: Array = argument(converter=as_inertia)
-    orbit: Any = argument(converter=callable_pytree)
-    mu: Array | None = argument(
+    inertia: Converted[Array] = argument(converter=as_inertia)
+    orbit: Converted[Any] = argument(converter=callable_pytree)
+    mu: Converted[Array | None] = argument(
         converter=named(_checks.real_array, "mu", (), optional=True), like="inertia", default=None
     )
 

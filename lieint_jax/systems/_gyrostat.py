@@ -11,7 +11,7 @@ from lieint_jax.groups import so3
 from lieint_jax.systems._catalogue import SystemProperties
 from lieint_jax.systems._rigid_body import WithFreeBody
 from lieint_jax.systems._shared.body import Rotating, as_inertia
-from lieint_jax.types import State, argument, pytree, vectors
+from lieint_jax.types import Converted, State, argument, pytree, vectors
 from lieint_jax.types.shapes import Scalar, Vector3
 
 __all__ = ["Gyrostat", "gyrostat"]
@@ -51,8 +51,8 @@ class Gyrostat(WithFreeBody, Rotating, capabilities.AbstractGyrostat):
     Source: Kelvin & Tait 1879, Treatise on Natural Philosophy; the dual-spin satellite: Likins 1967, J. Spacecraft 4.
     """
 
-    inertia: Array = argument(converter=as_inertia)
-    rotor: Array = argument(converter=named(_checks.real_array, "rotor", (3,)), like="inertia")
+    inertia: Converted[Array] = argument(converter=as_inertia)
+    rotor: Converted[Array] = argument(converter=named(_checks.real_array, "rotor", (3,)), like="inertia")
 
     @property
     def own_momentum(self) -> Vector3:

@@ -13,7 +13,7 @@ from lieint_jax.systems._catalogue import SystemProperties
 from lieint_jax.systems._pseudo_rigid_body import DeformingBody, PseudoRigidBody
 from lieint_jax.systems._shared.arguments import explained
 from lieint_jax.systems._shared.stored_energy import as_stored_energy, mooney_rivlin
-from lieint_jax.types import State, StoredEnergy, argument, pytree
+from lieint_jax.types import Converted, State, StoredEnergy, argument, pytree
 from lieint_jax.types.shapes import Matrix3, Scalar, Vector3
 
 __all__ = ["IncompressibleBody", "incompressible_body"]
@@ -46,8 +46,8 @@ class IncompressibleBody(DeformingBody, capabilities.AbstractIncompressibleBody)
         18.0
     """
 
-    inertia: Array = argument(converter=named(_checks.positive_definite, "inertia"))
-    stored_energy: StoredEnergy = argument(converter=as_stored_energy)
+    inertia: Converted[Array] = argument(converter=named(_checks.positive_definite, "inertia"))
+    stored_energy: Converted[StoredEnergy] = argument(converter=as_stored_energy)
 
     @property
     def compressible(self) -> PseudoRigidBody:

@@ -18,7 +18,7 @@ from lieint_jax.groups import so3
 from lieint_jax.systems._catalogue import SystemProperties
 from lieint_jax.systems._shared.arguments import check_timed, explained, timed
 from lieint_jax.systems._shared.on_group import check_element, group_element
-from lieint_jax.types import Group, State, argument, callable_pytree, pytree, static
+from lieint_jax.types import Converted, Group, State, argument, callable_pytree, pytree, static
 from lieint_jax.types.shapes import AlgebraVector, Time
 
 __all__ = ["Kinematics", "SampledRate", "kinematics", "sampled_rate"]
@@ -51,7 +51,7 @@ class Kinematics(AbstractKinematics):
     """
 
     group: Group = static()
-    rate: Callable[[Array], Array] = argument(converter=callable_pytree)
+    rate: Converted[Callable[[Array], Array]] = argument(converter=callable_pytree)
     frame: Frame = static(default="body")
 
     def check_fields(self) -> None:

@@ -17,7 +17,16 @@ from lieint_jax.groups import so3
 from lieint_jax.systems._catalogue import SystemProperties
 from lieint_jax.systems._rigid_body import WithFreeBody
 from lieint_jax.systems._shared.body import Body, as_inertia
-from lieint_jax.types import PotentialWithGradient, State, argument, callable_pytree, check_gradient, pytree, vectors
+from lieint_jax.types import (
+    Converted,
+    PotentialWithGradient,
+    State,
+    argument,
+    callable_pytree,
+    check_gradient,
+    pytree,
+    vectors,
+)
 from lieint_jax.types.shapes import Matrix3, MomentumMap, Scalar, Time, Vector3
 
 __all__ = ["PotentialTop", "QuadraticPotential", "clebsch_integral", "potential_top"]
@@ -81,9 +90,9 @@ class PotentialTop(WithFreeBody, Body, AbstractTop):
         >>> state = top.state(angular_velocity=[0.1, 0.2, 1.0])
     """
 
-    inertia: Array = argument(converter=as_inertia)
-    potential: Callable[[Array], Array] = argument(converter=callable_pytree)
-    axis: Array | None = argument(converter=checked_axis, like="inertia", default=(0.0, 0.0, 1.0))
+    inertia: Converted[Array] = argument(converter=as_inertia)
+    potential: Converted[Callable[[Array], Array]] = argument(converter=callable_pytree)
+    axis: Converted[Array | None] = argument(converter=checked_axis, like="inertia", default=(0.0, 0.0, 1.0))
 
     def check_fields(self) -> None:
         """Raise ValueError if the potential is no function of Γ, or without an axis of Λ."""

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
 import jax.numpy as jnp
 from jax import Array
 from numpy.typing import ArrayLike
@@ -14,7 +12,7 @@ from lieint_jax.capabilities import AbstractFreeBody
 from lieint_jax.groups import so3
 from lieint_jax.systems._catalogue import SystemProperties
 from lieint_jax.systems._shared.body import Body, as_inertia
-from lieint_jax.types import State, argument, from_fields, pytree, vectors
+from lieint_jax.types import Converted, State, argument, from_fields, pytree, vectors
 
 __all__ = ["RigidBody", "rigid_body", "tumbling_state"]
 
@@ -42,10 +40,7 @@ class RigidBody(Body, AbstractFreeBody):
         1.52
     """
 
-    inertia: Array = argument(converter=as_inertia)
-    if TYPE_CHECKING:  # mypy knows no converters
-
-        def __init__(self, inertia: ArrayLike) -> None: ...
+    inertia: Converted[Array] = argument(converter=as_inertia)
 
     def solution(self, state: State, t: Array | float) -> State:
         """The exact state after a time t of any size and sign, in Jacobi's elliptic functions; π is equal bit for bit.

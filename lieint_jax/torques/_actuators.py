@@ -17,7 +17,7 @@ from lieint_jax.groups import so3
 from lieint_jax.torques._arguments import VectorOfTime, cut, value_at, vector_of_time
 from lieint_jax.torques._body_axes import middle_axes
 from lieint_jax.torques._wheels import wheel_axes
-from lieint_jax.types import Law, Rotation, argument, parts, pytree, static
+from lieint_jax.types import Converted, Law, Rotation, argument, parts, pytree, static
 from lieint_jax.types.shapes import PyTree
 from lieint_jax.types.vectors import cross, dot
 
@@ -108,10 +108,10 @@ class WheelMotor:
             window that does not end after it begins.
     """
 
-    axes: Array = argument(converter=wheel_axes)
-    control: tuple[Law, ...] = argument(converter=control_laws)
-    gyroscopic: bool = static(converter=bool, default=False)
-    window: tuple[Array, Array] | None = argument(converter=_window, default=None)
+    axes: Converted[Array] = argument(converter=wheel_axes)
+    control: Converted[tuple[Law, ...]] = argument(converter=control_laws)
+    gyroscopic: Converted[bool] = static(converter=bool, default=False)
+    window: Converted[tuple[Array, Array] | None] = argument(converter=_window, default=None)
     allocation: Array = dataclasses.field(init=False)  # from a torque to those of the wheels, (m, 3)
 
     def check_fields(self) -> dict[str, Array]:
@@ -147,9 +147,9 @@ class Torquers(Law):
     Source: Sidi 1997, Spacecraft Dynamics and Control, 7.4.
     """
 
-    control: tuple[Law, ...] = argument(converter=control_laws)
-    field: VectorOfTime = argument(converter=named(vector_of_time, "field"))
-    max_dipole: Array | None = argument(converter=_limit, default=None)
+    control: Converted[tuple[Law, ...]] = argument(converter=control_laws)
+    field: Converted[VectorOfTime] = argument(converter=named(vector_of_time, "field"))
+    max_dipole: Converted[Array | None] = argument(converter=_limit, default=None)
 
     def mean(self, rotation: Rotation, inner: PyTree) -> tuple[Array, PyTree]:
         """The law at the middle of the step."""

@@ -10,7 +10,7 @@ from jax import Array
 from lieint_jax._checks import named, not_negative
 from lieint_jax.groups import so3
 from lieint_jax.torques._arguments import NO_ROTATION, rotation
-from lieint_jax.types import Law, Rotation, argument, pytree
+from lieint_jax.types import Converted, Law, Rotation, argument, pytree
 from lieint_jax.types.shapes import PyTree
 from lieint_jax.types.vectors import dot
 
@@ -21,9 +21,9 @@ __all__ = ["PDQuaternion", "PDTrace", "pd_quaternion", "pd_trace"]
 class _ProportionalDerivative(Law):
     """A potential of the attitude and damping, which alone does work."""
 
-    gain: Array = argument(converter=named(not_negative, "gain"))
-    damping: Array = argument(converter=named(not_negative, "damping"))
-    target: Array = argument(converter=partial(rotation, "target"), default=NO_ROTATION)
+    gain: Converted[Array] = argument(converter=named(not_negative, "gain"))
+    damping: Converted[Array] = argument(converter=named(not_negative, "damping"))
+    target: Converted[Array] = argument(converter=partial(rotation, "target"), default=NO_ROTATION)
 
     def work(self, rotation: Rotation, torque: Array, inner: PyTree, after: PyTree) -> Array:
         """−Δt c|Ω̄|²."""

@@ -7,7 +7,7 @@ from jax import Array
 
 from lieint_jax._checks import named, not_negative, positive
 from lieint_jax.torques._arguments import dissipative_tensor, tensor_of
-from lieint_jax.types import Law, Rotation, argument, pytree, static
+from lieint_jax.types import Converted, Law, Rotation, argument, pytree, static
 from lieint_jax.types.shapes import PyTree
 from lieint_jax.types.vectors import Scalar, Vector, VectorLike, cross, dot
 
@@ -25,7 +25,7 @@ class Viscous(Law):
         ValueError: a negative D, or none of these shapes.
     """
 
-    damping: Array = argument(converter=named(dissipative_tensor, "damping"))
+    damping: Converted[Array] = argument(converter=named(dissipative_tensor, "damping"))
 
     def mean(self, rotation: Rotation, inner: PyTree) -> tuple[Array, PyTree]:
         """−DΩ̄."""
@@ -50,8 +50,8 @@ class KaneDamper(Law):
     Source: Kane, Likins & Levinson 1983, Spacecraft Dynamics; the implicit mean of a step: this package.
     """
 
-    inertia: Array = argument(converter=named(positive, "inertia"))
-    damping: Array = argument(converter=named(not_negative, "damping"))
+    inertia: Converted[Array] = argument(converter=named(positive, "inertia"))
+    damping: Converted[Array] = argument(converter=named(not_negative, "damping"))
     key: str = static(default="damper")  # pyright: ignore[reportIncompatibleVariableOverride]
     frame = "space"
     internal = True

@@ -14,7 +14,7 @@ from lieint_jax._checks import named, not_negative, positive
 from lieint_jax.groups import so3
 from lieint_jax.torques._arguments import VectorOfTime, cut, dissipative_tensor, tensor_of, value_at, vector_of_time
 from lieint_jax.torques._body_axes import end_axes, mean_axes, middle_axes, start_axes
-from lieint_jax.types import Law, Rotation, argument, pytree, static
+from lieint_jax.types import Converted, Law, Rotation, argument, pytree, static
 from lieint_jax.types.shapes import PyTree
 from lieint_jax.types.vectors import Vector, cross, dot, norm
 
@@ -105,9 +105,11 @@ class EddyCurrent(Law):
         -0.4
     """
 
-    tensor: Array = argument(converter=named(dissipative_tensor, "tensor"))
-    field: VectorOfTime = argument(converter=named(vector_of_time, "field"))
-    rate: VectorOfTime | None = argument(converter=named(vector_of_time, "rate", optional=True), default=None)
+    tensor: Converted[Array] = argument(converter=named(dissipative_tensor, "tensor"))
+    field: Converted[VectorOfTime] = argument(converter=named(vector_of_time, "field"))
+    rate: Converted[VectorOfTime | None] = argument(
+        converter=named(vector_of_time, "rate", optional=True), default=None
+    )
 
     def mean(self, rotation: Rotation, inner: PyTree) -> tuple[Array, PyTree]:
         """M(Ω̄ × B̄) × B̄ with B̄ = Λ̄ᵀb at the middle time, for which b·Λ̄T̄ = 0."""
@@ -154,11 +156,11 @@ class Hysteresis(Law):
     package.
     """
 
-    axis: Array = argument(converter=named(_checks.unit_vector, "axis"))
-    saturation: Array = argument(converter=named(positive, "saturation"))
-    slope: Array = argument(converter=named(positive, "slope"))
-    coercivity: Array = argument(converter=named(not_negative, "coercivity"))
-    field: VectorOfTime = argument(converter=named(vector_of_time, "field"), kw_only=True)
+    axis: Converted[Array] = argument(converter=named(_checks.unit_vector, "axis"))
+    saturation: Converted[Array] = argument(converter=named(positive, "saturation"))
+    slope: Converted[Array] = argument(converter=named(positive, "slope"))
+    coercivity: Converted[Array] = argument(converter=named(not_negative, "coercivity"))
+    field: Converted[VectorOfTime] = argument(converter=named(vector_of_time, "field"), kw_only=True)
     key: str = static(default="rod", kw_only=True)  # pyright: ignore[reportIncompatibleVariableOverride]
     symmetric = False
 

@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike
 from lieint_jax import _checks
 from lieint_jax._checks import concrete, named, positive
 from lieint_jax.torques._arguments import cut
-from lieint_jax.types import Law, LawSum, Rotation, argument, as_law, pytree
+from lieint_jax.types import Converted, Law, LawSum, Rotation, argument, as_law, pytree
 from lieint_jax.types.shapes import PyTree
 
 __all__ = ["ModifiedLaw", "Saturated", "Windowed", "saturated", "windowed"]
@@ -72,8 +72,8 @@ class Saturated(ModifiedLaw):
             `max_torque` of their own.
     """
 
-    law: Law = argument(converter=without_state)
-    limit: Array = argument(converter=named(positive, "limit", (), (3,)))
+    law: Converted[Law] = argument(converter=without_state)
+    limit: Converted[Array] = argument(converter=named(positive, "limit", (), (3,)))
 
     def mean(self, rotation: Rotation, inner: PyTree) -> tuple[Array, PyTree]:
         """The law's mean torque, each component within ± the limit."""

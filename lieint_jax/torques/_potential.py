@@ -16,7 +16,7 @@ from lieint_jax._numerics.discrete_gradient import discrete_gradient
 from lieint_jax.groups import so3
 from lieint_jax.torques._arguments import VectorOfTime, evaluate, value_at, vector_of_time
 from lieint_jax.torques._body_axes import end_axes, start_axes
-from lieint_jax.types import Law, Rotation, argument, callable_pytree, pytree, vectors
+from lieint_jax.types import Converted, Law, Rotation, argument, callable_pytree, pytree, vectors
 from lieint_jax.types.shapes import PyTree
 from lieint_jax.types.vectors import cross, dot
 
@@ -86,9 +86,9 @@ class GravityGradient(DirectionalPotential):
     Source: Hughes 1986, Spacecraft Attitude Dynamics, 8.1; the mean torque of a step: this package.
     """
 
-    orbit: Any = argument(converter=lambda orbit: callable_pytree(_checks.orbit(orbit)))
-    inertia: Array = argument(converter=partial(_checks.inertia, stacklevel=4))
-    mu: Array = argument(converter=named(_checks.real_array, "mu", (), optional=True), default=None)
+    orbit: Converted[Any] = argument(converter=lambda orbit: callable_pytree(_checks.orbit(orbit)))
+    inertia: Converted[Array] = argument(converter=partial(_checks.inertia, stacklevel=4))
+    mu: Converted[Array] = argument(converter=named(_checks.real_array, "mu", (), optional=True), default=None)
 
     def check_fields(self) -> dict[str, Array]:
         """mu, by default that of the orbit; ValueError if it has none."""
@@ -127,8 +127,8 @@ class Dipole(DirectionalPotential):
         ValueError: no vector, or no function with such values.
     """
 
-    moment: Array = argument(converter=named(_checks.real_array, "moment", (3,)))
-    field: VectorOfTime = argument(converter=named(vector_of_time, "field"))
+    moment: Converted[Array] = argument(converter=named(_checks.real_array, "moment", (3,)))
+    field: Converted[VectorOfTime] = argument(converter=named(vector_of_time, "field"))
 
     def axis(self, t: Array) -> Array:
         """b(t)."""

@@ -8,7 +8,7 @@ from jax.typing import ArrayLike
 from lieint_jax._checks import named, positive
 from lieint_jax.torques._actuators import control_laws, control_torque
 from lieint_jax.torques._hold import held_in_step, why_not
-from lieint_jax.types import Law, Rotation, argument, pytree, static
+from lieint_jax.types import Converted, Law, Rotation, argument, pytree, static
 from lieint_jax.types.shapes import PyTree
 
 __all__ = ["Sampled", "sampled"]
@@ -41,8 +41,8 @@ class Sampled(Law):
         [-0.1, 0.0, 0.0]
     """
 
-    law: tuple[Law, ...] = argument(converter=control_laws)
-    period: Array = argument(converter=named(positive, "period"))
+    law: Converted[tuple[Law, ...]] = argument(converter=control_laws)
+    period: Converted[Array] = argument(converter=named(positive, "period"))
     key: str = static(default="sampled")  # pyright: ignore[reportIncompatibleVariableOverride]
     symmetric = False
 

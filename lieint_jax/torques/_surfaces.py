@@ -15,7 +15,7 @@ from lieint_jax import _checks
 from lieint_jax._checks import concrete, for_each, named, not_negative, positive, real_array
 from lieint_jax.torques._arguments import VectorOfTime, direction_at, direction_of_time, evaluate
 from lieint_jax.torques._body_axes import middle_axes
-from lieint_jax.types import Law, Rotation, argument, callable_pytree, pytree
+from lieint_jax.types import Converted, Law, Rotation, argument, callable_pytree, pytree
 from lieint_jax.types.shapes import PyTree
 from lieint_jax.types.vectors import Vector, cross, dot, vector
 
@@ -52,12 +52,12 @@ class SolarPlate(Law):
     Source: McInnes 1999, Solar Sailing, chapter 2 (the optical model of a plate, without thermal emission).
     """
 
-    force: Array = argument(converter=named(not_negative, "force"))
-    normal: Array = argument(converter=named(_checks.unit_vector, "normal"))
-    arm: Array = argument(converter=named(real_array, "arm", (3,)))
-    sun: VectorOfTime = argument(converter=named(direction_of_time, "sun"))
-    specular: Array = argument(converter=named(not_negative, "specular"), default=0.0, kw_only=True)
-    diffuse: Array = argument(converter=named(not_negative, "diffuse"), default=0.0, kw_only=True)
+    force: Converted[Array] = argument(converter=named(not_negative, "force"))
+    normal: Converted[Array] = argument(converter=named(_checks.unit_vector, "normal"))
+    arm: Converted[Array] = argument(converter=named(real_array, "arm", (3,)))
+    sun: Converted[VectorOfTime] = argument(converter=named(direction_of_time, "sun"))
+    specular: Converted[Array] = argument(converter=named(not_negative, "specular"), default=0.0, kw_only=True)
+    diffuse: Converted[Array] = argument(converter=named(not_negative, "diffuse"), default=0.0, kw_only=True)
 
     def check_fields(self) -> None:
         """Raise ValueError if more light is reflected than arrives."""
@@ -127,14 +127,14 @@ class SolarPlates(Plates):
     Source: McInnes 1999, Solar Sailing, chapter 2; Montenbruck & Gill 2000, Satellite Orbits, 3.4.
     """
 
-    force: Array = argument(converter=named(real_array, "force"))
-    normals: Array = argument(converter=named(real_array, "normals"))
-    arms: Array = argument(converter=named(real_array, "arms"))
-    sun: VectorOfTime = argument(converter=named(direction_of_time, "sun"))
+    force: Converted[Array] = argument(converter=named(real_array, "force"))
+    normals: Converted[Array] = argument(converter=named(real_array, "normals"))
+    arms: Converted[Array] = argument(converter=named(real_array, "arms"))
+    sun: Converted[VectorOfTime] = argument(converter=named(direction_of_time, "sun"))
     _: dataclasses.KW_ONLY
-    light: Callable[..., Array] | None = argument(converter=_light, default=None)
-    specular: Array = argument(converter=named(real_array, "specular"), default=0.0)
-    diffuse: Array = argument(converter=named(real_array, "diffuse"), default=0.0)
+    light: Converted[Callable[..., Array] | None] = argument(converter=_light, default=None)
+    specular: Converted[Array] = argument(converter=named(real_array, "specular"), default=0.0)
+    diffuse: Converted[Array] = argument(converter=named(real_array, "diffuse"), default=0.0)
 
     def check_fields(self) -> dict[str, Array]:
         """A force for each plate; ValueError if shapes disagree or more light is reflected than arrives."""
@@ -185,11 +185,11 @@ class Aerodynamic(Plates):
     Source: Wertz 1978, Spacecraft Attitude Determination and Control, 17.2.3, with one drag coefficient per plate.
     """
 
-    air: Callable[[Array], tuple[Array, Array]] = argument(converter=_air)
-    areas: Array = argument(converter=named(real_array, "areas"))
-    normals: Array = argument(converter=named(real_array, "normals"))
-    arms: Array = argument(converter=named(real_array, "arms"))
-    drag: Array = argument(converter=named(real_array, "drag"), default=2.2, kw_only=True)
+    air: Converted[Callable[[Array], tuple[Array, Array]]] = argument(converter=_air)
+    areas: Converted[Array] = argument(converter=named(real_array, "areas"))
+    normals: Converted[Array] = argument(converter=named(real_array, "normals"))
+    arms: Converted[Array] = argument(converter=named(real_array, "arms"))
+    drag: Converted[Array] = argument(converter=named(real_array, "drag"), default=2.2, kw_only=True)
 
     def check_fields(self) -> dict[str, Array]:
         """An area for each plate; ValueError if shapes disagree."""

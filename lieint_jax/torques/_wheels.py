@@ -15,7 +15,7 @@ from lieint_jax._checks import concrete, for_each, named, positive, real_array
 from lieint_jax.groups import so3
 from lieint_jax.torques._arguments import cut
 from lieint_jax.torques._hold import held_in_step, why_not
-from lieint_jax.types import Law, Rotation, argument, callable_pytree, pytree, with_fields
+from lieint_jax.types import Converted, Law, Rotation, argument, callable_pytree, pytree, with_fields
 from lieint_jax.types.shapes import PyTree
 from lieint_jax.types.vectors import cross
 
@@ -59,16 +59,20 @@ class Wheels(Law):
     Source: Hughes 1986, Spacecraft Attitude Dynamics, chapter 3 and 6; the mean torque of a step: this package.
     """
 
-    axes: Array = argument(converter=wheel_axes)
-    inertias: Array = argument(converter=named(real_array, "inertias"))
-    motor: Callable[..., Array] | None = argument(
+    axes: Converted[Array] = argument(converter=wheel_axes)
+    inertias: Converted[Array] = argument(converter=named(real_array, "inertias"))
+    motor: Converted[Callable[..., Array] | None] = argument(
         converter=lambda motor: None if motor is None else callable_pytree(motor), default=None
     )
-    max_torque: Array | None = argument(converter=named(real_array, "max_torque", optional=True), default=None)
+    max_torque: Converted[Array | None] = argument(
+        converter=named(real_array, "max_torque", optional=True), default=None
+    )
     _: dataclasses.KW_ONLY
-    max_momentum: Array | None = argument(converter=named(real_array, "max_momentum", optional=True), default=None)
-    speeds: Array = argument(converter=named(real_array, "speeds"), default=0.0)
-    period: Array | None = argument(converter=named(positive, "period", optional=True), default=None)
+    max_momentum: Converted[Array | None] = argument(
+        converter=named(real_array, "max_momentum", optional=True), default=None
+    )
+    speeds: Converted[Array] = argument(converter=named(real_array, "speeds"), default=0.0)
+    period: Converted[Array | None] = argument(converter=named(positive, "period", optional=True), default=None)
     key = "wheels"
     internal = True
 

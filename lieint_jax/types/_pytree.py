@@ -12,7 +12,13 @@ import numpy as np
 
 from lieint_jax._checks import dtype_of, name_of
 
-__all__ = ["Partitioned", "argument", "callable_pytree", "from_fields", "pytree", "static", "with_fields"]
+MYPY = False  # mypy takes this for True
+if MYPY:
+    from lieint_jax.types._of_mypy import Converted as Converted
+else:
+    from lieint_jax.types.shapes import Converted as Converted
+
+__all__ = ["Converted", "Partitioned", "argument", "callable_pytree", "from_fields", "pytree", "static", "with_fields"]
 
 _T = TypeVar("_T")
 
@@ -24,6 +30,8 @@ def static(*, converter: Callable[[Any], Any] | None = None, **options: Any) -> 
 
 def argument(*, converter: Callable[..., Any], like: str | None = None, **options: Any) -> Any:
     """A dataclass field whose value the constructor converts, and so checks; JAX rebuilds a pytree without it.
+
+    Its type is written `Converted[…]`, so that type checkers accept what is converted.
 
     With `like`, the name of a field before it, `converter(value, like=…)` is given that one's converted value too.
     """

@@ -9,7 +9,7 @@ A type checker sees arrays; the package needs no jaxtyping. At run time each nam
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Annotated, Any, TypeAlias
+from typing import TYPE_CHECKING, Annotated, Any, TypeAlias, TypeVar
 
 from jax import Array
 
@@ -32,6 +32,8 @@ else:
         """An array of truth values."""
 
 
+_T = TypeVar("_T")
+Converted: TypeAlias = Annotated[_T, "converted"]  # a field that the constructor makes a _T from what is given
 PyTree: TypeAlias = Any  # a tree whose leaves are arrays, such as the parameters of a fit
 
 Scalar: TypeAlias = Float[Array, ""]

@@ -21,7 +21,16 @@ from jax import Array
 from lieint_jax import _checks
 from lieint_jax._checks import named, positive
 from lieint_jax._numerics import power_series
-from lieint_jax.types import StoredEnergy, argument, autodiff_gradient, callable_pytree, pytree, static, vectors
+from lieint_jax.types import (
+    Converted,
+    StoredEnergy,
+    argument,
+    autodiff_gradient,
+    callable_pytree,
+    pytree,
+    static,
+    vectors,
+)
 from lieint_jax.types.shapes import Matrix3, Scalar
 from lieint_jax.types.vectors import Symmetric
 
@@ -71,8 +80,8 @@ class MooneyRivlin(_VolumeAndTrace):
         ValueError: not positive or not finite.
     """
 
-    lam: Array = argument(converter=named(positive, "lam"))
-    mu: Array = argument(converter=named(positive, "mu"))
+    lam: Converted[Array] = argument(converter=named(positive, "lam"))
+    mu: Converted[Array] = argument(converter=named(positive, "mu"))
 
     def volume_energy(self, I3: Scalar) -> Scalar:
         change = I3 - 1  # I₃ − 1 − ln I₃ is of second order in it, and λ may be large
@@ -87,8 +96,8 @@ class MooneyRivlin(_VolumeAndTrace):
 class NeoHookean(_VolumeAndTrace):
     """W = (μ/2)(I₁ − 3 − ln I₃) + (λ/8)(ln I₃)², the common compressible neo-Hookean material; λ, μ > 0, energies."""
 
-    lam: Array = argument(converter=named(positive, "lam"))
-    mu: Array = argument(converter=named(positive, "mu"))
+    lam: Converted[Array] = argument(converter=named(positive, "lam"))
+    mu: Converted[Array] = argument(converter=named(positive, "mu"))
 
     def volume_energy(self, I3: Scalar) -> Scalar:
         log = jnp.log(I3)
@@ -106,8 +115,8 @@ class SaintVenantKirchhoff(StoredEnergy):
     It stays finite where the volume vanishes, so strong compression can invert a body; steps check det F.
     """
 
-    lam: Array = argument(converter=named(positive, "lam"))
-    mu: Array = argument(converter=named(positive, "mu"))
+    lam: Converted[Array] = argument(converter=named(positive, "lam"))
+    mu: Converted[Array] = argument(converter=named(positive, "mu"))
 
     def __call__(self, C: Matrix3) -> Scalar:
         G = plus(-1, vectors.symmetric(C))
