@@ -108,7 +108,7 @@ class BodiesEnergyMomentum(Step):
     contraction, Deuflhard 2011, Newton Methods for Nonlinear Problems, 2.1.
     """
 
-    system: Converted[AbstractRigidBodies | AbstractDissipativeBodies] = argument(converter=PROPERTIES.check)
+    system: AbstractRigidBodies | AbstractDissipativeBodies = argument(converter=PROPERTIES.check)
     iterations: Converted[int] = static(converter=named(count, "iterations", 1), default=50)
     solver: str | None = static(default=None)
     order: float = static(default=2, init=False)

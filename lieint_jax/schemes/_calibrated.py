@@ -84,7 +84,7 @@ class Calibrated(Step):
     Source: McLachlan & Zanna 2005, Found. Comput. Math. 5 (that s and d exist); the closed form: this package.
     """
 
-    system: Converted[AbstractFreeBody] = argument(converter=PROPERTIES.check)
+    system: AbstractFreeBody = argument(converter=PROPERTIES.check)
     clock: Clock | None = field(default=None, init=False)
     iterations: Converted[int | None] = static(converter=named(count, "iterations", 1, optional=True), default=None)
     order: float = static(default=math.inf, init=False)

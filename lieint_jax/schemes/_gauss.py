@@ -92,7 +92,7 @@ class Gauss(Step):
     Numer. Algorithms 76.
     """
 
-    system: Converted[System] = argument(converter=PROPERTIES.check)
+    system: System = argument(converter=PROPERTIES.check)
     stages: Converted[int] = static(converter=named(count, "stages", 1), default=8)
     sweeps: Converted[int | None] = static(converter=named(count, "sweeps", 1, optional=True), default=None)
     order: float = static(init=False)

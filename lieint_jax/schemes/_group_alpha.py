@@ -74,7 +74,7 @@ class GroupAlpha(Step):
     Source: Lewis & Simo 1994, Results 12 to 14, Appendix B; the place of the force: (6.5), (6.9) and (6.17).
     """
 
-    system: Converted[AbstractGeodesicFlow | AbstractMechanicalSystem] = argument(converter=PROPERTIES.check)
+    system: AbstractGeodesicFlow | AbstractMechanicalSystem = argument(converter=PROPERTIES.check)
     alpha: Converted[Array] = argument(converter=named(fraction, "alpha"), default=0.5)
     tau: Converted[Tau] = argument(converter=any_map, default=exponential)
     iterations: Converted[int] = static(converter=named(count, "iterations", 1), default=8)

@@ -70,7 +70,7 @@ class GroupEnergyMomentum(Step):
     Source: Lewis & Simo 1994, Result 13; the discrete force: this package.
     """
 
-    system: Converted[AbstractMechanicalSystem] = argument(converter=PROPERTIES.check)
+    system: AbstractMechanicalSystem = argument(converter=PROPERTIES.check)
     tau: Tau = field(init=False)  # the exponential map
     iterations: Converted[int] = static(converter=named(count, "iterations", 1), default=6)
     order: float = static(default=2, init=False)

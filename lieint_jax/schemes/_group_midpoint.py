@@ -77,7 +77,7 @@ class GroupMidpoint(Step):
     Source: Lewis & Simo 1994, Results 9–11.
     """
 
-    system: Converted[AbstractGeodesicFlow | AbstractRightGeodesicFlow] = argument(converter=PROPERTIES.check)
+    system: AbstractGeodesicFlow | AbstractRightGeodesicFlow = argument(converter=PROPERTIES.check)
     tau: Converted[Tau] = argument(converter=any_map, default=exponential)
     iterations: Converted[int] = static(converter=named(count, "iterations", 1), default=8)
     order: float = static(init=False)

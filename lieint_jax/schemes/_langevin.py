@@ -100,7 +100,7 @@ class Langevin(Step):
     J. Chem. Phys. 130; Metropolized: Bou-Rabee & Owhadi 2010, SIAM J. Numer. Anal. 48.
     """
 
-    system: Converted[Any] = argument(converter=PROPERTIES.check)
+    system: Any = argument(converter=PROPERTIES.check)
     drift: Step = field(init=False)  # the exact step of the free motion
     temperature: ArrayLike
     friction: npt.ArrayLike

@@ -68,7 +68,7 @@ class Magnus(Step):
     Source: Blanes, Casas & Ros, BIT 40 (2000) 434; Blanes & Moan, Appl. Numer. Math. 56 (2006) 1519, commutator-free.
     """
 
-    system: Converted[AbstractKinematics] = argument(converter=PROPERTIES.check)
+    system: AbstractKinematics = argument(converter=PROPERTIES.check)
     order: float = static(default=4)
     commutators: Converted[bool] = static(converter=bool, default=True, kw_only=True)
     symmetric: bool = static(default=True, init=False)

@@ -99,7 +99,7 @@ class SO3Alpha(Step):
     Source: Lewis & Simo 1994, (2.14)–(2.22), Results 1 and 2; T_α and ν corrected.
     """
 
-    system: Converted[AbstractEmbeddedBody] = argument(converter=PROPERTIES.check)
+    system: AbstractEmbeddedBody = argument(converter=PROPERTIES.check)
     alpha: Converted[Array] = argument(converter=named(fraction, "alpha"), default=0.5)
     kappa: Converted[Kappa] = argument(converter=as_kappa, default=kappa_cayley)
     iterations: Converted[int] = static(converter=named(count, "iterations", 1), default=ITERATIONS["vector"])

@@ -24,7 +24,7 @@ from lieint_jax.groups import so3
 from lieint_jax.schemes._catalogue import SchemeProperties
 from lieint_jax.schemes._shared.half_rotation import half_cayley, scalar_residual, scalar_root, scaled
 from lieint_jax.schemes._so3_midpoint import so3_midpoint
-from lieint_jax.types import Converted, State, Step, StepInfo, argument, pytree, static, with_fields
+from lieint_jax.types import State, Step, StepInfo, argument, pytree, static, with_fields
 from lieint_jax.types.vectors import dot, max_abs
 
 __all__ = ["SO3Explicit", "so3_explicit"]
@@ -67,7 +67,7 @@ class SO3Explicit(Step):
     2006, J. Phys. A 39.
     """
 
-    system: Converted[AbstractFreeBody] = argument(converter=PROPERTIES.check)
+    system: AbstractFreeBody = argument(converter=PROPERTIES.check)
     m: Array | None = field(default=None, init=False)
     gain: Array | None = field(default=None, init=False)
     order: float = static(default=2, init=False)

@@ -97,7 +97,7 @@ class TopEnergyMomentum(Step):
     J. Nonlinear Sci. 6.
     """
 
-    system: Converted[AbstractTop | AbstractDrivenTop] = argument(converter=PROPERTIES.check)
+    system: AbstractTop | AbstractDrivenTop = argument(converter=PROPERTIES.check)
     kappa: Converted[Kappa] = argument(converter=as_kappa, default=kappa_cayley)
     iterations: Converted[int] = static(converter=named(count, "iterations", 1, optional=True), default=None)
     order: float = static(default=2, init=False)
