@@ -57,7 +57,7 @@ def hints(function):
 
 def has_shape(annotation):
     if get_origin(annotation) is Annotated:
-        return True
+        return annotation.__metadata__[-1] != "converted"  # what is given need not have the shape of the field
     is_union = get_origin(annotation) in (Union, types.UnionType, tuple)
     return is_union and any(has_shape(x) for x in get_args(annotation))
 
