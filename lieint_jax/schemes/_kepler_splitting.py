@@ -16,21 +16,16 @@ from jax import Array
 from jax.typing import ArrayLike
 
 from lieint_jax import _checks
-from lieint_jax._numerics import newton
-from lieint_jax._numerics.power_series import stumpff
-from lieint_jax._numerics.select import where
 from lieint_jax._numerics.stages import compose_stages
 from lieint_jax.capabilities import AbstractFreeBodies, AbstractRigidBodies
 from lieint_jax.schemes._catalogue import SchemeProperties
 from lieint_jax.schemes._exact import FreeFlight, exact
 from lieint_jax.schemes._nystrom import Stages, mirror
+from lieint_jax.schemes._shared.kepler_flow import kepler_flow
 from lieint_jax.types import State, Step, StepInfo, pytree, static
-from lieint_jax.types.shapes import Scalar, Vector3
-from lieint_jax.types.vectors import dot, norm, vector
+from lieint_jax.types.vectors import dot, vector
 
 __all__ = ["KeplerSplitting", "kepler_splitting"]
-
-_ITERATIONS = 4  # corrections of Kepler's equation, each of order 4
 
 Order = int | tuple[int, ...]
 METHODS: dict[Order, Stages] = {
@@ -87,7 +82,7 @@ class KeplerSplitting(Step):
         turned, info = self.drift.substep(state, dt)
         p = state.p[:, :3]
         d, v = state.q[1, :3] - state.q[0, :3], p[1] / m[1] - p[0] / m[0]
-        moved, faster, solved = _kepler_flow(d, v, self.G * M, dt)
+        moved, faster, solved = kepler_flow(d, v, self.G * M, dt)
         center = dt * ((p[0] + p[1]) / M)
         x = state.q[:, :3] + jnp.stack([center - (m[1] / M) * moved, center + (m[0] / M) * moved])
         push = (m[0] * m[1] / M) * faster
@@ -100,41 +95,6 @@ class KeplerSplitting(Step):
             f"{self.name} does not converge at dt = {dt}: a sub-step is too long a part of the orbit, or the bodies "
             "meet. Use a smaller dt"
         )
-
-
-def _kepler_flow(d: Vector3, v: Vector3, mu: Scalar, dt: Array) -> tuple[Array, Array, StepInfo]:
-    """Δd and Δv of the motion d̈ = −μd/|d|³ in the time Δt, and the report: the residual of the equation for s over Δt.
-
-    By universal variables: r₀G₁ + ηG₂ + μG₃ = Δt with G_k = sᵏc_k(βs²), β = 2μ/r₀ − |v|², η = d·v; on every conic.
-    """
-    r0, eta = norm(d), dot(d, v)
-    beta = 2 * mu / r0 - dot(v, v)
-    bend = mu - beta * r0
-
-    def powers(s: Array) -> tuple[Array, Array, Array, Array]:
-        c0, c1, c2, c3 = stumpff(beta * s * s)
-        return c0, s * c1, s * s * c2, s**3 * c3
-
-    def excess(s: Array) -> Array:
-        _, G1, G2, G3 = powers(s)
-        return r0 * G1 + eta * G2 + mu * G3 - dt
-
-    def correction(s: Array, F: Array) -> Array:
-        """A correction of order 4 (Danby 1987), from F and its derivatives r, dr/ds and d²r/ds² at s."""
-        G0, G1, G2, _ = powers(s)
-        r, r1, r2 = r0 * G0 + eta * G1 + mu * G2, eta * G0 + bend * G1, bend * G0 - beta * eta * G1
-        step = F / r
-        step = F / (r - step * r1 / 2)
-        return F / (r - step * (r1 / 2 - step * r2 / 6))
-
-    tau, lift = dt / r0, eta / (2 * r0)
-    guess = tau * (1 - tau * (lift - tau * (2 * lift * lift - bend / (6 * r0))))
-    s, F, steady = newton.root(excess, correction, guess, _ITERATIONS, unroll=False, length=jnp.abs)
-    G0, G1, G2, G3 = powers(s)
-    r = r0 * G0 + eta * G1 + mu * G2
-    moved = -mu * G2 / r0 * d + (dt - mu * G3) * v
-    faster = -mu * G1 / (r0 * r) * d - mu * G2 / r * v
-    return moved, faster, StepInfo.of_root(jnp.abs(F / where(dt == 0, 1, dt)), steady & (r > 0))
 
 
 def kepler_splitting(

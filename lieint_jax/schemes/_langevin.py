@@ -35,12 +35,11 @@ from lieint_jax.capabilities import (
     AbstractRigidBodies,
     AbstractTop,
 )
-from lieint_jax.groups import so3
 from lieint_jax.schemes._catalogue import SchemeProperties
 from lieint_jax.schemes._exact import exact
+from lieint_jax.schemes._shared.thermalized import thermalized
 from lieint_jax.schemes._splitting import Splitting, kick
 from lieint_jax.types import Converted, State, Step, StepInfo, System, argument, pytree, static
-from lieint_jax.types.vectors import symmetric
 
 __all__ = ["Langevin", "langevin"]
 
@@ -206,7 +205,7 @@ class Langevin(Step):
         bodies: Any = self.drift.system
         if state.p.ndim == 1:
             friction, kT = map(jnp.asarray, (self.friction, self.temperature))
-            p, gained = _thermalized(state.q, bodies.inertia, state.p, noise, friction, dt, kT)
+            p, gained = thermalized(state.q, bodies.inertia, state.p, noise, friction, dt, kT)
         else:
             p, gained = self._thermalize_bodies(bodies, state, noise.reshape(-1, 6), dt)
         return self._add_to_extra(state._replace(p=p), **{_HEAT: gained})
@@ -216,7 +215,7 @@ class Langevin(Step):
         masses = bodies.masses[:, None] * jnp.ones_like(state.p[:, :3])
         friction, kT = map(jnp.asarray, (self.friction, self.temperature))
         rates = (friction[:3], friction[3:]) if friction.shape == (6,) else (friction,) * 2
-        over_bodies = jax.vmap(_thermalized, (0, 0, 0, 0, None, None, None))
+        over_bodies = jax.vmap(thermalized, (0, 0, 0, 0, None, None, None))
         (moved, first), (turned, second) = (
             over_bodies(state.q[:, 3:], J, state.p[:, own], noise[:, own], rate, dt, kT)
             for J, own, rate in zip((masses, bodies.inertias), (slice(3), slice(3, 6)), rates, strict=True)
@@ -252,34 +251,6 @@ class Langevin(Step):
         if float(dt) < 0:  # pyright: ignore[reportArgumentType]
             return f"{self.name} has no step back, got dt = {dt}: friction and noise have no inverse. Use dt > 0"
         return f"{self.name}: {self.deterministic.advice(state, dt)}"
-
-
-def _thermalized(
-    q: Array, J: Array, p: Array, noise: Array, rate: Array, dt: Array, temperature: Array
-) -> tuple[Array, Array]:
-    """A momentum in space after friction and noise in the axes of the body, and the kinetic energy gained.
-
-    It is the exact flow of an Ornstein–Uhlenbeck process. J is the inertia of the body, or its mass along each axis.
-    The gain is ½ (Π′ − Π)·J⁻¹(Π′ + Π).
-    """
-    decay, spread = jnp.exp(-rate * dt), jnp.sqrt(-jnp.expm1(-2 * rate * jnp.maximum(dt, 0)))
-    before = so3.Ad_star(q, p)
-    after = decay * before + spread * jnp.sqrt(temperature) * _root_times(J, noise)
-    mean_velocity = jnp.stack(symmetric(J).solve(before + after)) / 2
-    return so3.Ad(q, after), jnp.sum((after - before) * mean_velocity)
-
-
-def _root_times(J: Array, noise: Array) -> Array:
-    """A square root of J times a vector: that of the moments, or the lower triangle L with LLᵀ = J."""
-    if J.ndim == 1:
-        return jnp.sqrt(J) * noise
-    a = jnp.sqrt(J[0, 0])
-    b, c = J[1, 0] / a, J[2, 0] / a
-    d = jnp.sqrt(J[1, 1] - b * b)
-    e = (J[2, 1] - b * c) / d
-    f = jnp.sqrt(J[2, 2] - c * c - e * e)
-    x, y, z = noise
-    return jnp.stack([a * x, b * x + d * y, c * x + e * y + f * z])
 
 
 def _checked_key(key: Any) -> Array:

@@ -132,6 +132,11 @@ def test_the_room_of_runs_has_four_floors():
     assert max(len(path.read_text(encoding="utf-8").splitlines()) for path in files) <= 400
 
 
+def test_a_scheme_imports_at_most_nine_files():
+    for path in (ROOT / "schemes").glob("_[a-z]*.py"):
+        assert len({file_of(name) for name in imports(path) if name.startswith("lieint_jax.")}) <= 9, path
+
+
 @pytest.mark.parametrize("path", FILES, ids=lambda p: str(p.relative_to(ROOT)))
 def test_private_modules_are_imported_by_their_own_room_only(path):
     for name in imports(path):

@@ -144,7 +144,7 @@ def test_a_count_of_steps_that_a_number_does_not_hold_is_flagged():
 def test_the_root_of_a_tensor_squares_to_it():
     root = np.random.default_rng(0).normal(size=(3, 3))
     tensor = jnp.array(root @ root.T + np.eye(3))
-    L = np.array([schemes._langevin._root_times(tensor, e) for e in jnp.eye(3)]).T
+    L = np.array([schemes._shared.thermalized.root_times(tensor, e) for e in jnp.eye(3)]).T
     np.testing.assert_allclose(L @ L.T, tensor, rtol=1e-14)
 
 
