@@ -138,8 +138,8 @@ def test_a_run_compiles_its_machine_code_once(monkeypatch, members):
     """
     made, kernel = [], _machine.kernel
     monkeypatch.setattr(_machine, "kernel", lambda *given: made.append(given) or kernel(*given))
-    traced, interval = [], _loop.Intervals._interval
-    monkeypatch.setattr(_loop.Intervals, "_interval", lambda *given: traced.append(given) or interval(*given))
+    traced, interval = [], _loop.MemberLoop._interval
+    monkeypatch.setattr(_loop.MemberLoop, "_interval", lambda *given: traced.append(given) or interval(*given))
     top = li.systems.potential_top(jnp.full(3, 2.0), lambda g: 0.3 * g[2] ** 2)
     states = jax.vmap(lambda w: top.state(angular_velocity=w))(jnp.eye(3)[:members])
     run = li.run(li.schemes.splitting(top), states, 0.05, 20, progress=False)

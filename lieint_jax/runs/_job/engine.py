@@ -19,7 +19,7 @@ from lieint_jax.native import UnsupportedError, computed_by, unsupported_if_it_f
 from lieint_jax.runs._job import devices, loop
 from lieint_jax.runs._job.devices import Layout, Numbers, Tree
 from lieint_jax.runs._job.job import Job
-from lieint_jax.runs._job.loop import Axes, Carry, Given, Intervals, Reduction, Span
+from lieint_jax.runs._job.loop import Axes, Carry, Given, MemberLoop, Reduction, Span
 from lieint_jax.runs._march.clock import GridClock, power_of_two
 from lieint_jax.types import State, Step
 
@@ -74,10 +74,10 @@ class Engine:
         t0 = job.t0 if of_time is None else jax.tree.map(_member_shape, job.t0)
         rests = None if job.rests is None else job.rests[:0]  # their number makes no difference
         examples = step, jax.tree.map(_member_shape, job.states), t0, job.clock, rests
-        self._intervals = native.make_once(Intervals, (job.reduction, job.condition), self._axes, examples)
+        self._loop = native.make_once(MemberLoop, (job.reduction, job.condition), self._axes, examples)
         self.refusal, self.most_steps = "", 2**30
         if name != "xla" and job.num_steps:
-            known = self._intervals.known
+            known = self._loop.known
             if name not in known:
                 known[name] = self._examined()
             self.refusal, shared = known[name]
@@ -85,12 +85,12 @@ class Engine:
                 self.most_steps = max(1, _MOST_SHARED // shared)
 
     def _examined(self) -> tuple[str, int]:
-        """What `Intervals.known` has of this engine."""
+        """What `MemberLoop.known` has of this engine."""
         arguments = self._first_step()
         blocks = [slice(0, 1), slice(1, 2)] if self.job.members == 1 else [slice(None)]  # one member has its own code
         parts = [self._members(arguments, block) for block in blocks]
         with computed_by(self.name, self._threads):
-            [loop] = native.loops_of(self._intervals.of_all.trace(*parts[0]).jaxpr)
+            [loop] = native.loops_of(self._loop.of_all.trace(*parts[0]).jaxpr)
             assert loop is not None
             code = native.machine_code(loop)
         if isinstance(code, str):
@@ -129,9 +129,9 @@ class Engine:
 
         try:
             with unsupported_if_it_fails(), computed_by(self.name, self._threads):
-                ours = [self._intervals.of_all(*part) for part in parts]
+                ours = [self._loop.of_all(*part) for part in parts]
                 members = range(sum(len(carry.failed) for carry, _ in ours))
-                theirs = self._intervals.by_xla(map(of_member, members))
+                theirs = self._loop.by_xla(map(of_member, members))
         except UnsupportedError as reason:
             return str(reason)
         ours = [(carry, jax.tree.map(lambda x: np.asarray(x)[0], saved)) for carry, saved in ours]
@@ -182,7 +182,7 @@ class Engine:
         rows = rows if self.name == "xla" else power_of_two(rows)  # XLA's loops fill all rows
         spans = jax.tree.map(lambda x: np.resize(x, rows), Span(first, ends.astype(dtype), rests, begins))
         with computed_by(self.name, self._threads):
-            return jax.block_until_ready(self._intervals.of_all(carry, given, spans, np.int32(count)))
+            return jax.block_until_ready(self._loop.of_all(carry, given, spans, np.int32(count)))
 
 
 def _member_shape(x: Numbers) -> jax.ShapeDtypeStruct:

@@ -196,7 +196,7 @@ def of_members(function: Reduction | None, axes: Axes) -> Callable[[Given, State
     return jax.jit(jax.vmap(by_one_step, (axes, 0, None)), compiler_options=compiler_options())
 
 
-class Intervals:
+class MemberLoop:
     """The loop over the save intervals of all members.
 
     The saved values are the report, and the states or the change of the reduced quantity. `native.make_once` makes it
