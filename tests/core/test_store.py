@@ -24,6 +24,7 @@ import pytest
 import scenario_files
 import zarr
 from free_bodies import rows
+from grid import steps
 from ports import free_port
 from stores import Crash, assert_same, disk_for
 
@@ -394,6 +395,19 @@ def test_a_store_in_which_nothing_is_published_is_opened(tmp_path, no_loop):
         assert found.state.q.shape == (0, 40, 4)
         np.testing.assert_array_equal(found.failed, np.full(40, -1))
         assert re.search("0 of 13 entries|0 of 2 part", info.contents(path))
+
+
+@pytest.mark.filterwarnings("ignore:this run cannot be resumed")
+def test_a_store_can_be_made_for_every_scheme_and_for_groups_with_empty_arrays(tmp_path, no_loop):
+    chosen = {type(step): (step, state, dt) for _, step, state, dt in steps()}
+    chosen |= {n: case for n, *case in steps() if any(np.size(x) == 0 for x in jax.tree.leaves(case[0]))}
+    assert len(chosen) >= 25
+    for k, (step, state, dt) in enumerate(chosen.values()):
+        with pytest.raises(Begun):
+            li.run(step, state, dt, 2, store=tmp_path / f"{k}.zarr", progress=False)
+        found = li.open(tmp_path / f"{k}.zarr").step
+        assert jax.tree.structure(found) == jax.tree.structure(step)
+        jax.tree.map(np.testing.assert_array_equal, found, step)
 
 
 @pytest.mark.quick

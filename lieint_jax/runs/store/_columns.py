@@ -93,7 +93,8 @@ def constant(name: str, values: np.ndarray, job: Job) -> tuple[Column, np.ndarra
     """The description and the values of an array of the step, with the member axis first if it has one."""
     along = ("member",) if job.step_axis is not None else ()
     dims = (*along, *(f"{name}_axis{k}" for k in range(values.ndim - len(along))))
-    return Column(values.shape, values.dtype, values.shape, dims, {"long_name": f"{name} of the run"}), values
+    chunks = tuple(max(n, 1) for n in values.shape)  # of translations, an array of the group is empty
+    return Column(values.shape, values.dtype, chunks, dims, {"long_name": f"{name} of the run"}), values
 
 
 def labels(job: Job) -> dict[str, tuple[Column, np.ndarray]]:
