@@ -47,11 +47,10 @@ def undoable(step: Step, state: State, dt: Array, counts: ArrayLike, tolerance: 
     if isinstance(ready, Composition):
         stage, gammas = native.hoisted(lambda z, h: ready.step(z, h), state, dt), ready.gammas
 
-    def distance_in(a: State, b: State, later: State) -> Array:
-        larger = jnp.maximum(jnp.abs(b.p), jnp.abs(later.p))  # a body released from rest has no momentum at b
-        return distance(a, b, space, scale=b._replace(p=larger))
+    def distance_in(a: State, b: State, largest: Array) -> Array:
+        return distance(a, b, space, scale=b._replace(p=largest))
 
-    apart = native.hoisted(distance_in, state, state, state)
+    apart = native.hoisted(distance_in, state, state, state.p)
     run, arrays = _Undoable(whole[0], stage[0], apart[0], gammas, tolerance), (whole[1], stage[1], apart[1])
     given = with_common_axes((arrays, state, dt, clock))
     later, info = _run(run, *given, counts)
@@ -68,7 +67,7 @@ class _Undoable(NamedTuple):
     Attributes:
         step: (z, Δt) ↦ the state one step later, and its report.
         stage: the same for a sub-step of a composition; for any other step it is `step`.
-        apart: the distance of two states, in units of the larger momenta of the second and a later one.
+        apart: the distance of two states, in units of given momenta.
         gammas: the sizes of the sub-steps, over Δt.
         tolerance: the distance of a rebuilt state from the saved one above which a warning is issued.
     """
@@ -119,8 +118,10 @@ class _Undoable(NamedTuple):
             start, end, seen, count = saved
             lam = jax.tree.map(jnp.add, lam, seen)
             substeps = count * len(self.gammas)
-            rebuilt, lam, sums = native.march(undo, (end, lam, sums), None, consts, rows=1, every=substeps)[0]
-            return (lam, sums), self.apart(arrays[2], rebuilt, start, end)
+            largest = jnp.maximum(jnp.abs(start.p), jnp.abs(end.p))
+            carry = end, lam, sums, largest
+            rebuilt, lam, sums, largest = native.march(undo, carry, None, consts, rows=1, every=substeps)[0]
+            return (lam, sums), self.apart(arrays[2], rebuilt, start, largest)
 
         starts = jax.tree.map(lambda first, rest: jnp.concatenate([first[None], rest])[:-1], state, later)
         zero, starts = with_common_axes((jax.tree.map(jnp.zeros_like, (state, (real, dt))), starts))
@@ -130,8 +131,11 @@ class _Undoable(NamedTuple):
         return jax.tree.map(lambda x: x + none.astype(x.dtype), found)
 
     def _undo(self, arrays: PyTree, real: PyTree, dt: Array, n: Array, carry: PyTree) -> PyTree:
-        """Undo sub-step n from the end, and pull its cotangents back."""
-        z, lam, (sums, slope) = carry
+        """Undo sub-step n from the end, and pull its cotangents back.
+
+        The largest momenta on the way are carried along: a slew from rest to rest has none at its ends.
+        """
+        z, lam, (sums, slope), largest = carry
         gammas = jnp.asarray(self.gammas[::-1], dt.dtype)
         gamma = gammas[n % gammas.size] if gammas.size > 1 else 1.0
 
@@ -141,7 +145,8 @@ class _Undoable(NamedTuple):
 
         z = stage(real, z, -gamma * dt)
         more, lam, more_slope = jax.vjp(stage, real, z, gamma * dt)[1](lam)
-        return z, lam, (jax.tree.map(jnp.add, sums, more), slope + gamma * more_slope)
+        largest = jnp.maximum(largest, jnp.abs(lax.stop_gradient(z.p)))
+        return z, lam, (jax.tree.map(jnp.add, sums, more), slope + gamma * more_slope), largest
 
 
 def _no_cotangent(x: Array) -> Array | np.ndarray:
