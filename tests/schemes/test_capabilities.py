@@ -151,6 +151,8 @@ def test_every_step_moves_by_the_vector_field_of_its_system(name):
     system, dt = with_other_moments(system) or system, 2e-5  # the error is O(Δt²), of elastic bodies 1200 Δt²
     if isinstance(system, capabilities.AbstractIncompressibleBody):  # whose momenta depend on the moments
         state = system.state(state.q, momentum=state.p)
+    if isinstance(system, capabilities.AbstractTorquedBody):  # whose computer looks at t = 0 at these moments
+        state, _ = system.sampled(state, jnp.asarray(dt))
     for module in _discover.modules_with("examples", schemes).values():
         for step in module.examples(system).values():
             if step.name.startswith("langevin"):  # whose heat changes π by √Δt
