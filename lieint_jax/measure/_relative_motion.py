@@ -230,16 +230,13 @@ def pair_energies(run: Run) -> PairEnergies:
     Raises:
         ValueError: the run is not of two bodies, or its potential has no `G`.
     """
-    bodies, potential = count_bodies(run), None
-    match run.system:
-        case object(potential=object(G=_)) if bodies == 2:
-            return series_of(run, _energies_at)
-        case object(potential=potential):
-            pass
-    raise ValueError(
-        "pair_energies needs a run of two bodies under gravity, such as potentials.maccullagh(G, …), got "
-        f"{bodies} in {potential!r}"
-    )
+    bodies, potential = count_bodies(run), getattr(run.system, "potential", None)
+    if bodies != 2 or not hasattr(potential, "G"):
+        raise ValueError(
+            "pair_energies needs a run of two bodies under gravity, such as potentials.maccullagh(G, …), got "
+            f"{bodies} in {potential!r}"
+        )
+    return series_of(run, _energies_at)
 
 
 def _energies_at(step: Step, state: State) -> PairEnergies:

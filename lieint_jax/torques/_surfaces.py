@@ -88,7 +88,7 @@ class Plates(Law):
         """Σ r_j × F_j of the forces on the plates, given by their components (m,)."""
         return jnp.stack([jnp.sum(x) for x in cross(vector(self.arms.T), forces)])
 
-    def _each(self, name: str, sizes: Array) -> Array:
+    def _plate_sizes(self, name: str, sizes: Array) -> Array:
         """The sizes of the plates, (m,); ValueError if one is negative, or shapes do not agree."""
         if self.arms.ndim != 2 or self.arms.shape[1] != 3 or not len(self.arms):
             raise ValueError(f"arms must have shape (m, 3), one for each plate, got {self.arms.shape}")
@@ -138,7 +138,7 @@ class SolarPlates(Plates):
 
     def check_fields(self) -> dict[str, Array]:
         """A force for each plate; ValueError if shapes disagree or more light is reflected than arrives."""
-        force = self._each("force", self.force)
+        force = self._plate_sizes("force", self.force)
         for name, part in (("specular", self.specular), ("diffuse", self.diffuse)):
             not_negative(name, part, (), force.shape)
         _check_parts(self.specular, self.diffuse)
@@ -193,7 +193,7 @@ class Aerodynamic(Plates):
 
     def check_fields(self) -> dict[str, Array]:
         """An area for each plate; ValueError if shapes disagree."""
-        areas = self._each("areas", self.areas)
+        areas = self._plate_sizes("areas", self.areas)
         not_negative("drag", self.drag, (), areas.shape)
         return {"areas": areas}
 

@@ -1,6 +1,7 @@
 """The house rules: imports point down, the core needs only jax and numpy, examples everywhere, no x64 at import."""
 
 import ast
+import graphlib
 import inspect
 import subprocess
 import sys
@@ -109,8 +110,6 @@ def test_imports_point_down(path):
 
 def floors(graph):
     """The number of nodes on the longest chain of a graph that has no circle."""
-    import graphlib
-
     height = {}
     for node in graphlib.TopologicalSorter(graph).static_order():
         height[node] = 1 + max((height[other] for other in graph[node]), default=0)
@@ -159,8 +158,6 @@ def test_few_tests_import_private_modules():
 
 def test_no_import_goes_in_a_circle():
     """Within the rooms too: modules can be put in an order in which each imports only those before it."""
-    import graphlib
-
     graph = {path: {file_of(name) for name in imports(path) if name.startswith("lieint_jax.")} for path in FILES}
     faces = {path for path in FILES if path.name == "__init__.py"}  # importing a module runs its package's face first,
     inner = {path: found - {None} - faces for path, found in graph.items() if path not in faces}  # which is not meant

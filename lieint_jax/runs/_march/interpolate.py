@@ -17,7 +17,7 @@ from lieint_jax import _checks
 from lieint_jax._checks import concrete
 from lieint_jax._xla import compiled
 from lieint_jax.runs._march.clock import power_of_two
-from lieint_jax.types import State, System, Trajectory, time_derivative
+from lieint_jax.types import SpaceWithUnits, State, System, Trajectory, time_derivative
 from lieint_jax.types.members import axes
 
 _T = TypeVar("_T")
@@ -152,7 +152,7 @@ def _between_saves(system: System, pairs: _Pair) -> tuple[State, Array]:
         found = found if a.t is None else found._replace(t=jnp.where(a.t == start, time, a.t + (time - start)))
         found = jax.tree.map(lambda x: jnp.where(pair.inside, x, jnp.nan), found)
         missed, moved = (jnp.abs(x)[: space.dim // 2 if a.p.size else None] for x in (h * (v0 + v1) / 2 - end, end))
-        unit = space.units(a)[0] if hasattr(space, "units") else 1  # lengths have one of their own
+        unit = space.units(a)[0] if isinstance(space, SpaceWithUnits) else 1  # lengths have one of their own
         return found, jnp.where(pair.inside, jnp.max(missed / (unit + moved)), 0)
 
     return jax.vmap(interpolate_at)(pairs)

@@ -18,7 +18,7 @@ import numpy as np
 
 from lieint_jax.groups import MatrixGroup
 from lieint_jax.runs._storage.leaves import store_name
-from lieint_jax.types import Partitioned, Step, callable_pytree
+from lieint_jax.types import Partitioned, Step, callable_pytree, from_fields
 
 _PACKAGE = __name__.partition(".")[0]
 _DRIFTS = f"{_PACKAGE}.schemes._shared.default_drift"
@@ -193,7 +193,5 @@ def _import_own(name: str) -> ModuleType | None:
 
 def _instance(cls: type, fields: Mapping[str, object]) -> Any:
     """An instance of a dataclass with these fields, without the checks of its constructor, which they have passed."""
-    x = object.__new__(cls)
-    for name in {field.name for field in dataclasses.fields(cls)} & fields.keys():  # version 0.2 had others too
-        object.__setattr__(x, name, fields[name])
-    return x
+    known = {field.name for field in dataclasses.fields(cls)} & fields.keys()  # version 0.2 had others too
+    return from_fields(cls, **{name: fields[name] for name in known})

@@ -31,10 +31,7 @@ class OlderLaw(Law):
 
     @property
     def key(self) -> str | None:  # pyright: ignore[reportIncompatibleVariableOverride]
-        match self.law:
-            case object(key=key):
-                return key
-        return None
+        return getattr(self.law, "key", None)
 
     @property
     def internal(self) -> bool:  # pyright: ignore[reportIncompatibleVariableOverride]
