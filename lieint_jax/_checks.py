@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import abc
 import contextlib
 import contextvars
 import functools
@@ -37,6 +38,10 @@ class RotationLike(Protocol):
 
     def as_quat(self) -> Any: ...
     def as_matrix(self) -> Any: ...
+
+
+class MassDistribution(abc.ABC):
+    """What an inertia is taken from: a shape or a molecule. A system or a law, which has more than that, is not one."""
 
 
 Attitude = ArrayLike | Sequence[Any] | RotationLike
@@ -430,17 +435,30 @@ def of_one_system(name: str, value: Input, d: int = 3) -> None:
         )
 
 
+def of_shape(name: str, value: Input, attribute: str = "inertia") -> Input:
+    """This attribute of a shape; any other value as it is, but a ValueError for a system, whose forces would be lost."""
+    has = hasattr(value, attribute)
+    if has and isinstance(value, MassDistribution):
+        return getattr(value, attribute)
+    if has or isinstance(value, MassDistribution):
+        raise ValueError(
+            f"{name} must be an array or a Shape, got {type(value).__name__}, whose potential, rotor and torques would be "
+            f"lost: give its attribute {attribute}, and what acts on the body as laws of torque; a top with friction is "
+            "torqued_body(top.inertia, torques.viscous(…) + torques.potential(V, axis))"
+        )
+    return value
+
+
 def of_shapes(attribute: str, value: Input) -> Input:
     """This attribute of each of several shapes, stacked; any other value as it is. Moments (3,) may become (3, 3)."""
     if not isinstance(value, list | tuple) or not value:
         return value
-    try:
-        each = [getattr(x, attribute) for x in value]
-    except AttributeError:  # numbers
+    each = [of_shape(f"the {attribute} of body {k}", x, attribute) for k, x in enumerate(value)]
+    if not all(isinstance(x, MassDistribution) for x in value):  # numbers
         return value
-    if len({x.ndim for x in each}) > 1:
-        each = [jnp.diag(x) if x.ndim == 1 else x for x in each]
-    return jnp.stack(each)
+    if len({np.ndim(x) for x in each}) > 1:
+        each = [jnp.diag(x) if np.ndim(x) == 1 else x for x in each]
+    return jnp.stack([jnp.asarray(x) for x in each])
 
 
 def positive_definite(name: str, value: Input, d: int = 3, *, mixed_units: bool = False) -> Array:
@@ -448,7 +466,7 @@ def positive_definite(name: str, value: Input, d: int = 3, *, mixed_units: bool 
 
     With `mixed_units`, as a metric of rotations and translations has, Jᵢⱼ/√(JᵢᵢJⱼⱼ) is judged.
     """
-    array = real_array(name, getattr(value, "inertia", value), (d,), (d, d))
+    array = real_array(name, of_shape(name, value), (d,), (d, d))
     if not concrete(array):
         return array
     J = np.asarray(array, float)

@@ -17,6 +17,7 @@ __all__ = ["Molecule", "molecule", "water"]
 _ALIGNED = 1e-12  # of the largest moment: smaller products of inertia are rounding
 
 
+@_checks.MassDistribution.register
 class Molecule(NamedTuple):
     """A rigid molecule in the consistent units nm, ps, u, kJ/mol and elementary charges.
 

@@ -32,7 +32,7 @@ ORDER = 4  # the highest moments of a shape
 
 
 @pytree
-class Shape:
+class Shape(_checks.MassDistribution):
     """A distribution of mass, by its moments. Made by `ellipsoid`, `box`, `cylinder`, `sites`, `mesh`, `obj`, `body`.
 
     Attributes:

@@ -8,9 +8,9 @@ from jax import Array
 from numpy.typing import ArrayLike
 
 from lieint_jax import _checks, capabilities
-from lieint_jax._checks import concrete, named
+from lieint_jax._checks import concrete
 from lieint_jax.systems._catalogue import SystemProperties
-from lieint_jax.systems._pseudo_rigid_body import DeformingBody, PseudoRigidBody
+from lieint_jax.systems._pseudo_rigid_body import DeformingBody, PseudoRigidBody, second_moments
 from lieint_jax.systems._shared.arguments import explained
 from lieint_jax.systems._shared.stored_energy import as_stored_energy, mooney_rivlin
 from lieint_jax.types import Converted, State, StoredEnergy, argument, pytree
@@ -46,7 +46,7 @@ class IncompressibleBody(DeformingBody, capabilities.AbstractIncompressibleBody)
         18.0
     """
 
-    inertia: Converted[Array] = argument(converter=named(_checks.positive_definite, "inertia"))
+    inertia: Converted[Array] = argument(converter=second_moments)
     stored_energy: Converted[StoredEnergy] = argument(converter=as_stored_energy)
 
     @property

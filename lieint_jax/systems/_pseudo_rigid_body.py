@@ -142,8 +142,8 @@ def pseudo_rigid_body(
     """A pseudo-rigid body: an elastic body that deforms homogeneously, x = F X, about its center of mass.
 
     Args:
-        inertia: E, the second moments of mass in the reference placement: principal (3,) or a symmetric (3, 3). For a
-            ball of mass m and radius r it is (m r²/5)·1. (The inertia of the rigid body is tr(E) 1 − E.)
+        inertia: E, the second moments of mass in the reference placement: principal (3,) or a symmetric (3, 3), or a
+            Shape. For a ball of mass m and radius r it is (m r²/5)·1. (The inertia of the rigid body is tr(E) 1 − E.)
         stored_energy: `mooney_rivlin(lam, mu)`, `neo_hookean`, `saint_venant_kirchhoff`, or any callable W(C) of
             C = FᵀF, shape (3, 3).
         viscosity: ν ≥ 0, an energy times a time: a stress νĊ, which dissipates the power ½ν|Ċ|². `schemes.additive`
@@ -161,13 +161,18 @@ def pseudo_rigid_body(
         >>> float(body.energy(state))
         18.0
     """
-    E, W = _checks.positive_definite("inertia", inertia), as_stored_energy(stored_energy)
+    E, W = second_moments(inertia), as_stored_energy(stored_energy)
     if viscosity is None:
         return PseudoRigidBody(E, W)
     nu = _checks.real_array("viscosity", viscosity, ())
     if concrete(nu) and not float(nu) >= 0:
         raise ValueError(f"viscosity must be ≥ 0, got {float(nu):g}")
     return ViscousBody(E, W, nu)
+
+
+def second_moments(value: ArrayLike) -> Array:
+    """E of an elastic body, (3,) or (3, 3): as given, or that of a Shape, whose `inertia` is tr(E) 1 − E."""
+    return _checks.positive_definite("inertia", _checks.of_shape("inertia", value, "second"))
 
 
 def _orientation(name: str, F: Matrix3) -> None:

@@ -16,7 +16,8 @@ from lieint_jax._checks import concrete, named, not_negative, positive
 from lieint_jax.groups import so3
 from lieint_jax.torques._arguments import VectorOfTime, cut, value_at, vector_of_time
 from lieint_jax.torques._body_axes import middle_axes
-from lieint_jax.torques._wheels import wheel_axes
+from lieint_jax.torques._wheels import Motor, wheel_axes
+from lieint_jax.torques._window import mean_in_window, window
 from lieint_jax.types import Converted, Law, Rotation, argument, parts, pytree, static
 from lieint_jax.types.shapes import PyTree
 from lieint_jax.types.vectors import cross, dot
@@ -86,14 +87,15 @@ def control_torque(laws: tuple[Law, ...], t: Array, q: Array, Omega: Array) -> A
 def _window(times: Sequence[ArrayLike] | None) -> tuple[Array, Array] | None:
     if times is None:
         return None
-    begin, end = (_checks.real_array("window", x, ()) for x in times)
-    if concrete(begin, end) and not float(begin) < float(end):
-        raise ValueError(f"the window of a motor must end after it begins, got {begin} to {end}")
-    return begin, end
+    try:
+        start, stop = times
+    except (TypeError, ValueError) as error:
+        raise ValueError(f"window must be two times, start and stop, got {times!r}") from error
+    return window("the window of a motor", start, stop)
 
 
 @pytree
-class WheelMotor:
+class WheelMotor(Motor):
     """The motors that let wheels carry out a control law: `wheels(axes, inertias, wheel_motor(axes, control))`.
 
     Args:
@@ -101,11 +103,12 @@ class WheelMotor:
         control: the torque that the body shall get: a law without an internal state such as `pointing`, a sum of such
             laws, or a function (t, q, Ω) ↦ (3,) in the body.
         gyroscopic: whether the motors also cancel Ω × Σg_jh_j, which the wheels' momentum does to the body.
-        window: the times from and to which the motors act; outside the wheels rotate freely. By default always.
+        window: the times from and to which the motors act; outside the wheels rotate freely. By default always. In a
+            step that the window begins or ends in they give their torque times the part of the step in the window.
 
     Raises:
         ValueError: axes that are not of unit length or do not span all directions, a law with an internal state, a
-            window that does not end after it begins.
+            window that stops before it starts.
     """
 
     axes: Converted[Array] = argument(converter=wheel_axes)
@@ -119,13 +122,16 @@ class WheelMotor:
         return {"allocation": allocation(self.axes)}
 
     def __call__(self, t: Array, q: Array, Omega: Array, h: Array) -> Array:
-        """The torques dh_j/dt on the wheels, (m,)."""
-        momentum = jnp.stack(cross(Omega, h @ self.axes)) if self.gyroscopic else 0
-        torques = -(self.allocation @ (control_torque(self.control, t, q, Omega) + momentum))
-        if self.window is None:
-            return torques
-        begin, end = self.window
-        return jnp.where((begin <= t) & (t < end), torques, 0)
+        """The torques dh_j/dt on the wheels at one instant, (m,)."""
+        return self.mean(Rotation.at_instant(t, q, Omega, so3.Ad(q, Omega)), h)
+
+    def mean(self, rotation: Rotation, h: Array, limit: Array | None = None) -> Array:
+        """The mean torques dh_j/dt of a step, (m,), from the control law at its middle."""
+        momentum = jnp.stack(cross(rotation.Omega, h @ self.axes)) if self.gyroscopic else 0
+        control = control_torque(self.control, rotation.t, rotation.q_mid, rotation.Omega)
+        torques = -(self.allocation @ (control + momentum))
+        torques = torques if limit is None else cut(torques, limit)
+        return torques if self.window is None else mean_in_window(rotation, *self.window, torques)
 
 
 @pytree

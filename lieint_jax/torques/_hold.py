@@ -18,12 +18,13 @@ def held_in_step(period: Array, t: Array, dt: Array, new: Array, held: Array) ->
         new: what a sample at t gives.
         held: what was held until t.
     """
-    at_sample = jnp.abs(t - jnp.round(t / period) * period) <= _NEAR * jnp.abs(dt)
+    apart, near = jnp.abs(t - jnp.round(t / period) * period), _NEAR * jnp.abs(dt)
     moves = dt != 0
     number, passed = (x / jnp.where(moves, dt, 1) for x in (period, t))
     divides = jnp.abs(number - jnp.round(number)) <= _EQUAL * number
     fits = (dt > 0) & divides & (jnp.abs(passed - jnp.round(passed)) <= _NEAR)
-    return jnp.where(at_sample, new, held), fits | ~moves
+    between = jnp.where(apart > near, held, jnp.nan).astype(held.dtype)  # NaN where a time is NaN
+    return jnp.where(apart <= near, new, between), fits | ~moves
 
 
 def why_not(name: str, period: Array, t: Array, dt: ArrayLike) -> str:

@@ -4,13 +4,12 @@ from __future__ import annotations
 
 from typing import Any
 
-import jax.numpy as jnp
 from jax import Array
 from numpy.typing import ArrayLike
 
-from lieint_jax import _checks
-from lieint_jax._checks import concrete, named, positive
+from lieint_jax._checks import named, positive
 from lieint_jax.torques._arguments import cut
+from lieint_jax.torques._window import mean_in_window, window
 from lieint_jax.types import Converted, Law, LawSum, Rotation, argument, as_law, pytree
 from lieint_jax.types.shapes import PyTree
 
@@ -86,26 +85,25 @@ class Saturated(ModifiedLaw):
 
 @pytree
 class Windowed(ModifiedLaw):
-    """A law that acts in steps whose midpoint lies in a window of time. Made by `windowed`."""
+    """A law that acts in a window of time. Made by `windowed`."""
 
     law: Law
     begin: Array
     stop: Array
 
     def mean(self, rotation: Rotation, inner: PyTree) -> tuple[Array, PyTree]:
-        """The law's mean torque in the window, else 0."""
-        inside = (self.begin <= rotation.t) & (rotation.t < self.stop)
-        outside = (rotation.t < self.begin) | (self.stop <= rotation.t)  # neither for NaN
-        torque = self.law.mean(rotation, inner)[0]
-        return jnp.where(inside, torque, jnp.where(outside, 0, jnp.nan)), inner
+        """The law's mean torque times the part of the step in the window."""
+        return mean_in_window(rotation, self.begin, self.stop, self.law.mean(rotation, inner)[0]), inner
 
 
 def windowed(law: Law, start: ArrayLike, stop: ArrayLike | None = None) -> Windowed:
     """A law that acts from time `start` to time `stop` only, such as a controller that is switched on after a while.
 
-    It acts in the steps whose midpoint lies in the window, so order 2 needs steps that end at start and stop. The work
-    is that of its torque; an energy of the law, such as the potential of a controller, is not counted. For a digital
-    controller, `sampled(windowed(law, …), period)`.
+    In a step that the window begins or ends in, its torque is that of the step times the part of the step in the
+    window. So steps may end anywhere at order 2, and derivatives with respect to start and stop are right; a composition
+    of higher order needs steps that end there. The work is that of the torque; an energy of the law, such as the
+    potential of a controller, is not counted. For a digital controller, `sampled(windowed(law, …), period)`, which acts
+    from its first sample in the window.
 
     Args:
         law: a law without an internal state, or a function of (t, q, Ω) in the body.
@@ -123,11 +121,7 @@ def windowed(law: Law, start: ArrayLike, stop: ArrayLike | None = None) -> Windo
         >>> [round(float(p), 3) for p in run.state.p[:, 2]]
         [3.0, 3.0, 2.539]
     """
-    first = _checks.real_array("start", start, ())
-    last = jnp.full_like(first, jnp.inf) if stop is None else _checks.real_array("stop", stop, ())
-    if concrete(first, last) and float(last) < float(first):
-        raise ValueError(f"a window must not end before it starts, got start = {first} and stop = {last}")
-    return Windowed(without_state(law), first, last)
+    return Windowed(without_state(law), *window("a window", start, stop))
 
 
 saturated = Saturated

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import abc
 import dataclasses
 from collections.abc import Callable
 
@@ -28,6 +29,14 @@ def wheel_axes(axes: ArrayLike) -> Array:
     if g.ndim != 2 or g.shape[1] != 3 or not len(g):
         raise ValueError(f"axes must have shape (m, 3), one unit vector for each wheel, got {g.shape}")
     return _checks.unit_vector("axes", g, g.shape)
+
+
+class Motor(abc.ABC):
+    """Motors of wheels that know the length of a step, and so which part of it they act in."""
+
+    @abc.abstractmethod
+    def mean(self, rotation: Rotation, h: Array, limit: Array | None) -> Array:
+        """The mean torques dh_j/dt of a step, (m,), of motors that give at most the limit."""
 
 
 @pytree
@@ -155,8 +164,7 @@ class Wheels(Law):
         """
         if self.motor is None:
             return jnp.zeros_like(h), h
-        torque = jnp.asarray(self.motor(rotation.t, rotation.q_mid, rotation.Omega, (h + end) / 2))
-        torque = torque if self.max_torque is None else cut(torque, self.max_torque)
+        torque = self._mean_torque(rotation, (h + end) / 2)
         after = h + rotation.dt * torque
         if self.max_momentum is None:
             return torque, after
@@ -165,6 +173,13 @@ class Wheels(Law):
         blocked = (jnp.abs(h) >= self.max_momentum) & (h * torque > 0)
         at_once = jnp.where(blocked, 0, torque)
         return jnp.where(moves, (after - h) / jnp.where(moves, rotation.dt, 1), at_once), after
+
+    def _mean_torque(self, rotation: Rotation, h: Array) -> Array:
+        """The mean torque of the motors in a step, at these momenta, within their limit, (m,)."""
+        if isinstance(self.motor, Motor):
+            return self.motor.mean(rotation, h, self.max_torque)
+        torque = jnp.asarray(self.motor(rotation.t, rotation.q_mid, rotation.Omega, h))
+        return torque if self.max_torque is None else cut(torque, self.max_torque)
 
 
 def _constant(held: Array, *_: Array) -> Array:

@@ -109,7 +109,7 @@ LAWS = [
     (lambda: torques.saturated(torques.viscous(0.1), 0.0), "limit must be positive"),
     (lambda: torques.saturated(torques.viscous(0.1) + spin, 0.1), "do so to each of its laws"),
     (lambda: torques.windowed(torques.sampled(spin, 0.1), 0.0), "do so to the law that it samples"),
-    (lambda: torques.windowed(spin, 2.0, 1.0), "must not end before it starts"),
+    (lambda: torques.windowed(spin, 2.0, 1.0), "must not stop before it starts"),
     (lambda: torques.dipole(E3, lambda t: t), "field must be a function of the time t"),
     (lambda: torques.bdot(1.0, lambda t: {}["b"]), "field must be a function .* fails: KeyError"),
     (lambda: torques.gravity_gradient(lambda t: 1 / 0, J, 1.0), "fails: ZeroDivisionError"),

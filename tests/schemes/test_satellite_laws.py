@@ -298,11 +298,13 @@ def test_directions_and_attitudes_from_functions_are_normalized():
 
 @pytest.mark.quick
 def test_motors_with_a_window_act_in_it_only():
-    """From its beginning until before its end; a window that does not end is refused."""
+    """From its beginning until before its end; a window that stops before it starts is refused, and one without end."""
     always, law = (torques.wheel_motor(AXES, POINTING, window=window) for window in (None, (1.0, 3.0)))
     h = jnp.array([0.1, -0.2, 0.3, 0.0])
     for t, acts in ((0.5, False), (1.0, True), (2.9, True), (3.0, False)):
         expected = always(jnp.asarray(t), Q, OMEGA, h) if acts else jnp.zeros(4)
         np.testing.assert_array_equal(law(jnp.asarray(t), Q, OMEGA, h), expected)
-    with pytest.raises(ValueError, match="must end after it begins"):
-        torques.wheel_motor(AXES, POINTING, window=(2.0, 2.0))
+    with pytest.raises(ValueError, match="must not stop before it starts"):
+        torques.wheel_motor(AXES, POINTING, window=(2.0, 1.0))
+    with pytest.raises(ValueError, match="must be two times, start and stop"):
+        torques.wheel_motor(AXES, POINTING, window=2.0)

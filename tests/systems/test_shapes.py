@@ -1,6 +1,7 @@
 """Shapes: closed forms, meshes against solids and quadrature, derivatives, files, and what accepts them."""
 
 import itertools
+from functools import partial
 from pathlib import Path
 
 import jax
@@ -10,7 +11,7 @@ import pytest
 from cubes import CUBE, FACES, QUADS
 
 import lieint_jax as li
-from lieint_jax import shapes
+from lieint_jax import shapes, systems, torques
 
 
 def sphere(levels):
@@ -322,6 +323,62 @@ def test_systems_and_potentials_accept_a_shape():
     slope = jax.grad(lambda a: jnp.sum(li.systems.rigid_body(shapes.ellipsoid(a, density=1.0)).inertia))(jnp.ones(3))
     assert np.all(slope > 0)
     assert shapes.ellipsoid(jnp.ones(3, "float32"), mass=1.0).fourth.dtype == jnp.float32
+
+
+FRAME, ORBIT = [1.0, 0.0, 0.0, 0.0], partial(li.orbits.kepler, 1.0, 1.0, 0.1)
+TAKING_INERTIA = {
+    "rigid_body": systems.rigid_body,
+    "gyrostat": lambda J: systems.gyrostat(J, [0, 0, 1.0]),
+    "driven_gyrostat": lambda J: systems.driven_gyrostat(J, lambda t: jnp.zeros(3)),
+    "damped_body": lambda J: systems.damped_body(J, 0.1),
+    "torqued_body": lambda J: systems.torqued_body(J, torques.viscous(0.1)),
+    "heavy_top": lambda J: systems.heavy_top(J, [0, 0, 1.0]),
+    "potential_top": lambda J: systems.potential_top(J, lambda R: R[0, 0], None),
+    "driven_top": lambda J: systems.driven_top(J, lambda R, t: t * R[0, 0], None),
+    "gravity_gradient": lambda J: systems.gravity_gradient(J, ORBIT()),
+    "law of gravity_gradient": lambda J: torques.gravity_gradient(ORBIT(), J),
+    "pointing": lambda J: torques.pointing(FRAME, 1.0, 1.0, J),
+    "sliding_mode": lambda J: torques.sliding_mode(FRAME, J, 1.0, 1.0, layer=0.1),
+    "body_inertia": lambda J: torques.body_inertia(J, np.eye(3), 0.01),
+    "rigid_bodies": lambda J: systems.rigid_bodies(np.ones(2), [J, J], lambda x, R: x[0, 0]),
+    "masses of rigid_bodies": lambda J: systems.rigid_bodies([J, J], np.ones((2, 3)), lambda x, R: x[0, 0]),
+    "maccullagh": lambda J: li.potentials.maccullagh(1.0, np.ones(2), [J, J]),
+    "mutual_gravity": lambda J: li.potentials.mutual_gravity(1.0, [J, J]),
+    "pseudo_rigid_body": lambda J: systems.pseudo_rigid_body(J, jnp.trace),
+    "incompressible_body": lambda J: systems.incompressible_body(J, jnp.trace),
+    "body": lambda J: shapes.body(mass=1.0, inertia=J),
+}
+
+
+@pytest.mark.parametrize("name", TAKING_INERTIA)
+def test_a_system_or_a_law_is_no_inertia(name):
+    """It has an attribute of that name, but its potential, rotor and torques would be lost; a shape has no more."""
+    take = TAKING_INERTIA[name]
+    for other in (li.systems.heavy_top([1.0, 1.0, 0.4], [0, 0, 0.3]), li.torques.kane_damper(0.1, 0.1)):
+        with pytest.raises(ValueError, match="must (be|hold)"):
+            take(other)
+    assert np.all(np.isfinite(jax.tree.leaves(take(shapes.ellipsoid([1.0, 1.1, 1.2], mass=2.0)))[0]))
+
+
+def test_a_top_with_friction_is_made_as_the_error_says():
+    """With the weight as a law of torque its motion is that of the top: the vector fields agree to round-off."""
+    weight, J = jnp.array([0.1, -0.2, 0.3]), [1.0, 1.2, 0.6]
+    top = li.systems.heavy_top(J, weight)
+    with pytest.raises(ValueError, match=r"torqued_body\(top\.inertia, .* torques\.potential\(V, axis\)"):
+        li.systems.torqued_body(top, li.torques.viscous(0.1))
+    law = li.torques.viscous(0.0) + li.torques.potential(lambda Gamma, t: weight @ Gamma, [0.0, 0.0, 1.0])
+    body = li.systems.torqued_body(top.inertia, law)
+    motion = dict(attitude=np.array([0.8, -0.4, 0.4, 0.2]), angular_velocity=[0.3, 0.5, -0.2])
+    found, exact = body.vector_field(body.state(**motion)), top.vector_field(top.state(**motion))
+    np.testing.assert_allclose(found.p, exact.p, rtol=0, atol=1e-15)
+    assert np.abs(exact.p).max() > 0.05
+
+
+def test_an_elastic_body_takes_the_second_moments_of_a_shape():
+    """E = ∫ X⊗X dm, (m r²/5)·1 of a ball, where its inertia is (2m r²/5)·1."""
+    ball = shapes.ellipsoid([2.0, 2.0, 2.0], mass=5.0)
+    for make in (li.systems.pseudo_rigid_body, li.systems.incompressible_body):
+        np.testing.assert_allclose(make(ball, jnp.trace).inertia, 4 * np.eye(3), rtol=1e-15)
 
 
 @pytest.mark.long
