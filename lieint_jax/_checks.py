@@ -40,7 +40,7 @@ class RotationLike(Protocol):
     def as_matrix(self) -> Any: ...
 
 
-class MassDistribution(abc.ABC):
+class MassDistribution(abc.ABC):  # noqa: B024 — a name for the classes that are registered
     """What an inertia is taken from: a shape or a molecule. A system or a law, which has more than that, is not one."""
 
 
@@ -436,15 +436,15 @@ def of_one_system(name: str, value: Input, d: int = 3) -> None:
 
 
 def of_shape(name: str, value: Input, attribute: str = "inertia") -> Input:
-    """This attribute of a shape; any other value as it is, but a ValueError for a system, whose forces would be lost."""
+    """This attribute of a shape; any other value as it is, but a ValueError for a system: its forces would be lost."""
     has = hasattr(value, attribute)
     if has and isinstance(value, MassDistribution):
         return getattr(value, attribute)
     if has or isinstance(value, MassDistribution):
         raise ValueError(
-            f"{name} must be an array or a Shape, got {type(value).__name__}, whose potential, rotor and torques would be "
-            f"lost: give its attribute {attribute}, and what acts on the body as laws of torque; a top with friction is "
-            "torqued_body(top.inertia, torques.viscous(…) + torques.potential(V, axis))"
+            f"{name} must be an array or a Shape, got {type(value).__name__}, whose potential, rotor and torques would "
+            f"be lost: give its attribute {attribute}, and what acts on the body as laws of torque. A top with "
+            "friction is torqued_body(top.inertia, torques.viscous(…) + torques.potential(V, axis))"
         )
     return value
 
@@ -507,7 +507,8 @@ def unit_vector(name: str, value: Input, *shapes: Sequence[int], like: Array | N
     """A vector of unit length to 1e-6, (3,), or an array of such vectors of one of `shapes`. It is not normalized."""
     vector = real_array(name, value, *(shapes or ((3,),)), like=like)
     if concrete(vector):
-        lengths = np.linalg.norm(np.asarray(vector, float), axis=-1)
+        with np.errstate(over="ignore"):
+            lengths = np.linalg.norm(np.asarray(vector, float), axis=-1)
         if np.max(np.abs(lengths - 1)) > UNIT_TOLERANCE:
             what, each = ("a unit vector", "it by its") if vector.ndim == 1 else ("unit vectors", "each by its")
             raise ValueError(
@@ -533,7 +534,8 @@ def unit_quaternion(name: str, value: Input, *shapes: Sequence[int], leading: bo
 
 def nearly_unit(name: str, q: np.ndarray, most: float = PRINTED) -> np.ndarray:
     """Quaternions (…, 4) within `most` of unit length; normalized, with a RuntimeWarning, if beyond 1e-6."""
-    norms = np.linalg.norm(q, axis=-1)
+    with np.errstate(over="ignore"):
+        norms = np.linalg.norm(q, axis=-1)
     if not norms.size or np.max(np.abs(norms - 1)) <= UNIT_TOLERANCE:
         return q
     worst = np.unravel_index(np.argmax(np.abs(norms - 1)), norms.shape)
@@ -557,8 +559,9 @@ def rotation_matrix(name: str, value: Input, leading: bool = False) -> Array:
     R = with_leading(name, value, (3, 3)) if leading else real_array(name, value, (3, 3))
     if concrete(R):
         M = np.asarray(R, float)
-        defect = float(np.max(np.abs(np.swapaxes(M, -1, -2) @ M - np.eye(3)), initial=0))
-        if defect > UNIT_TOLERANCE:
+        with np.errstate(over="ignore", invalid="ignore"):  # of huge entries
+            defect = float(np.max(np.abs(np.swapaxes(M, -1, -2) @ M - np.eye(3)), initial=0))
+        if not defect <= UNIT_TOLERANCE:
             raise ValueError(
                 f"{name} must be orthogonal: max|RᵀR − 1| is {defect:.3g}, allowed is {UNIT_TOLERANCE:g}; "
                 "project it with a polar or QR decomposition first"

@@ -24,6 +24,7 @@ from typing import Literal, get_args
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jax import Array
 from numpy.typing import ArrayLike
 
@@ -141,8 +142,22 @@ def to_matrix(q: Attitude, frame: Frame = "body_to_space") -> Array:
 
 
 def from_rotvec(rotvec: ArrayLike, frame: Frame = "body_to_space") -> Array:
-    """The attitudes of rotation vectors, an axis times an angle in radians, (…, 3), as unit quaternions, (…, 4)."""
-    return _directed(_each(so3.exp, 1, _checks.with_leading("rotvec", rotvec, (3,))), frame)
+    """The attitudes of rotation vectors, an axis times an angle in radians, (…, 3), as unit quaternions, (…, 4).
+
+    Raises:
+        ValueError: a vector that is not finite, or so long that rounding changes its angle by 1e-3 rad (4.5e12 rad in
+            float64, 8e3 rad in float32); another shape; another frame.
+    """
+    vectors = _checks.with_leading("rotvec", rotvec, (3,))
+    if _checks.concrete(vectors):
+        longest = np.max(np.abs(np.asarray(vectors)), initial=0)
+        most = 1e-3 / float(jnp.finfo(vectors.dtype).eps)
+        if longest > most:
+            raise ValueError(
+                f"rotvec must be below {most:.2g} rad in {vectors.dtype}, got {longest:.6g}, whose angle is rounded to "
+                "whole milliradians or worse: subtract whole turns before"
+            )
+    return _directed(_each(so3.exp, 1, vectors), frame)
 
 
 def to_rotvec(q: Attitude, frame: Frame = "body_to_space") -> Array:

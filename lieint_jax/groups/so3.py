@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import jax.numpy as jnp
 import numpy as np
-from jax import Array
+from jax import Array, lax
 
 from lieint_jax._numerics import power_series
 from lieint_jax._numerics.select import where
@@ -281,8 +281,11 @@ def _sequence(sequence: str) -> tuple[bool, list[int]]:
 
 def from_mrp(sigma: Array) -> Array:
     """The attitude of modified Rodrigues parameters σ = e tan(φ/4), (3,), of any length."""
-    square = dot(sigma, sigma)
-    return jnp.concatenate([(1 - square)[None], 2 * sigma]) / (1 + square)
+    most = jnp.finfo(sigma.dtype).max / 8  # the reciprocal of a larger number is 0 on machines without subnormal ones
+    size = lax.stop_gradient(jnp.clip(jnp.max(jnp.abs(sigma)), 1, most))  # it cancels: without it |σ|² could overflow
+    u, r = sigma / size, 1 / size
+    square = dot(u, u)
+    return jnp.concatenate([(r * r - square)[None], 2 * r * u]) / (r * r + square)
 
 
 def to_mrp(q: Array) -> Array:

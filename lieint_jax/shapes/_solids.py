@@ -292,6 +292,8 @@ def mesh(vertices: ArrayLike, faces: Any, *, mass: ArrayLike | None = None, dens
     """
     at, triangles = closed_surface(vertices, faces)
     if concrete(at):
+        with np.errstate(over="ignore"):
+            _check_volume(np.prod(np.max(np.ptp(np.asarray(at), axis=0)) * np.ones(3, at.dtype)))  # of a cube around it
         _check_parts(np.asarray(at, float)[triangles], triangles)
     reference = jnp.mean(at, axis=0)  # near the center: the moments about a distant point would cancel
     corners = (at - reference[None])[triangles]
@@ -320,11 +322,22 @@ _CYLINDER = np.array([[1 / 8, 1 / 24, 1 / 48], [1 / 24, 1 / 8, 1 / 48], [1 / 48,
 
 def _mass(volume: Array, mass: ArrayLike | None, density: ArrayLike | None) -> tuple[Array, Array]:
     """The mass and the density, of which one is given."""
+    _check_volume(volume)
     name, value = _checks.one_of(mass=mass, density=density)
     number = _checks.real_array(name, value, (), like=volume)
     if concrete(number) and float(number) == 0:
         raise ValueError(f"{name} must not be 0; a cavity has a negative one")
     return (number, number / volume) if name == "mass" else (number * volume, number)
+
+
+def _check_volume(volume: Array | np.floating) -> None:
+    """ValueError if a volume is not one that numbers of its type hold, such as the cube of 1e200."""
+    kind = jnp.finfo(volume.dtype)
+    if concrete(volume) and not float(kind.tiny) <= float(volume) <= float(kind.max):
+        raise ValueError(
+            f"the volume of a shape must be from {float(kind.tiny):.2g} to {float(kind.max):.2g} in {kind.dtype}, got "
+            f"{float(volume):.3g}: use a unit of length that is nearer to the size of the body"
+        )
 
 
 def _norm(x: Array) -> Array:

@@ -100,10 +100,10 @@ def windowed(law: Law, start: ArrayLike, stop: ArrayLike | None = None) -> Windo
     """A law that acts from time `start` to time `stop` only, such as a controller that is switched on after a while.
 
     In a step that the window begins or ends in, its torque is that of the step times the part of the step in the
-    window. So steps may end anywhere at order 2, and derivatives with respect to start and stop are right; a composition
-    of higher order needs steps that end there. The work is that of the torque; an energy of the law, such as the
-    potential of a controller, is not counted. For a digital controller, `sampled(windowed(law, …), period)`, which acts
-    from its first sample in the window.
+    window. So steps may end anywhere at order 2, and derivatives with respect to start and stop are right; a
+    composition of higher order needs steps that end there. The work is that of the torque; an energy of the law, such
+    as the potential of a controller, is not counted. For a digital controller, `sampled(windowed(law, …), period)`,
+    which acts from its first sample in the window.
 
     Args:
         law: a law without an internal state, or a function of (t, q, Ω) in the body.

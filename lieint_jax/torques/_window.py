@@ -25,7 +25,7 @@ def window(what: str, start: ArrayLike, stop: ArrayLike | None) -> tuple[Array, 
 
 
 def mean_in_window(rotation: Rotation, start: Array, stop: Array, value: Array) -> Array:
-    """The mean over a step of a value that acts in a window of time: the value times the part of the step in the window.
+    """The mean over a step of a value that acts in a window: the value times the part of the step in the window.
 
     Its integral over any steps, and the derivatives of that by both ends of the window, are exact for a constant value.
     At an instant it is the value, if start ≤ t < stop, or 0. NaN times give NaN.
@@ -33,8 +33,9 @@ def mean_in_window(rotation: Rotation, start: Array, stop: Array, value: Array) 
     begin, end = jnp.minimum(rotation.start, rotation.end), jnp.maximum(rotation.start, rotation.end)
     length = end - begin
     moves = length != 0
-    # Each end of the window is moved into the step. An end at the boundary of two steps is free in one of them only, the
-    # one that acts, or else its derivative would be counted twice or not at all. A window of no length has both in one.
+    # Each end of the window is moved into the step. An end at the boundary of two steps is free in one of them only,
+    # the one that acts, or else its derivative would be counted twice or not at all. A window of no length has both
+    # ends in one.
     over = (stop < begin) | ((stop == begin) & (start < stop))
     first = jnp.where(start < begin, begin, jnp.where(start >= end, end, start))
     last = jnp.where(over, begin, jnp.where(stop > end, end, stop))

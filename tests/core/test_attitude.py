@@ -226,3 +226,22 @@ def test_the_row_of_urdf():
     expected = turns[2] @ turns[1] @ turns[0]
     found = attitude.to_matrix(attitude.from_euler("xyz", [roll, pitch, yaw]))
     np.testing.assert_allclose(found, expected, rtol=0, atol=FLOOR)
+
+
+@pytest.mark.parametrize("dtype", ["float32", "float64"])
+def test_modified_rodrigues_parameters_of_any_length_are_an_attitude(dtype):
+    """Those of the shadow set, −σ/|σ|², are −q: so q = −(1, −2σ/|σ|²) to rounding where |σ| is huge; derivatives too."""
+    e, most = np.array([0.6, 0.0, 0.8]), float(np.finfo(dtype).max)
+    lengths = np.array([1.0, 1e3, most**0.5 / 2, most**0.5 * 2, most**0.75, most / 1.01])
+    found = attitude.from_mrp((lengths[:, None] * e).astype(dtype))
+    exact = np.stack([(1 / lengths - lengths) / (1 / lengths + lengths), 2 / (1 / lengths + lengths)], axis=1)
+    np.testing.assert_allclose(found[:, 0], exact[:, 0], rtol=0, atol=2 * np.finfo(dtype).eps)
+    np.testing.assert_allclose(found[:, 1:], exact[:, 1:] * e, rtol=4 * np.finfo(dtype).eps, atol=np.finfo(dtype).tiny)
+    slope = jax.vmap(jax.jacfwd(attitude.from_mrp))((lengths[:, None] * e).astype(dtype))
+    assert np.isfinite(slope).all()
+
+
+def test_a_rotation_vector_without_digits_of_its_angle_is_refused():
+    for vector, dtype, most in (([1e13, 0, 0], "float64", r"4.5e\+12"), ([0, 1e20, 0], "float32", r"8.4e\+03")):
+        with pytest.raises(ValueError, match=rf"rotvec must be below {most} rad in {dtype}"):
+            attitude.from_rotvec(np.array(vector, dtype))

@@ -281,6 +281,12 @@ POTENTIALS = [
     *rows(lambda r: systems.self_gravity(1.0, 1.0, r), "radius must be (positive|finite)", -1.0, 0.0, np.nan),
 ]
 SHAPES = [
+    *rows(
+        lambda size: shapes.mesh(size * np.array(CUBE), FACES, mass=1.0),
+        r"the volume of a shape must be from 2\.2e-308 to 1\.8e\+308 in float64, got",
+        *(1e103, 1e-103, 1.5e308),
+    ),
+    *rows(lambda size: shapes.box([size] * 3, mass=1.0), "the volume of a shape must be from", 1e103, 1e-103),
     (lambda: shapes.mesh(CUBE, FACES[:-1], mass=1.0), "the surface must be closed, but 3 edges"),
     (lambda: shapes.mesh(CUBE, [FACES[0][::-1], *FACES[1:]], mass=1.0), "all faces must be oriented alike"),
     (lambda: shapes.mesh(CUBE * [1, 1, 0], FACES, mass=1.0), "must enclose a volume"),

@@ -355,7 +355,7 @@ def test_a_system_or_a_law_is_no_inertia(name):
     """It has an attribute of that name, but its potential, rotor and torques would be lost; a shape has no more."""
     take = TAKING_INERTIA[name]
     for other in (li.systems.heavy_top([1.0, 1.0, 0.4], [0, 0, 0.3]), li.torques.kane_damper(0.1, 0.1)):
-        with pytest.raises(ValueError, match="must (be|hold)"):
+        with pytest.raises(ValueError, match=r"must (be|hold)"):
             take(other)
     assert np.all(np.isfinite(jax.tree.leaves(take(shapes.ellipsoid([1.0, 1.1, 1.2], mass=2.0)))[0]))
 
