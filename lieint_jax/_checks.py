@@ -149,6 +149,55 @@ def as_array(value: Input, dtype: DTypeLike | None = None) -> Array:
     return jax.device_put(host) if host.dtype.kind in "fiu" else jnp.asarray(value, dtype)
 
 
+_PLAIN = frozenset({float, int, complex, bool, str, bytes, type(None), np.ndarray, np.float64, np.float32, np.int64})
+
+
+def plain(name: str, value: _T) -> _T:
+    """`value`, if its numbers mean what they say; an array without a set mask as a plain one.
+
+    Conversion to an array would drop a mask, behind which any number may stand, and a unit.
+
+    Raises:
+        ValueError: masked entries; an attribute `unit` or `units`, as quantities of astropy, pint and others have.
+    """
+    kind = type(value)
+    if kind in _PLAIN or isinstance(value, Array):
+        return value
+    if kind is list or kind is tuple:
+        if not _PLAIN.issuperset(map(type, value)):  # pyright: ignore[reportArgumentType]
+            for item in value:  # pyright: ignore[reportGeneralTypeIssues]
+                plain(name, item)
+        return value
+    if isinstance(value, np.generic) or callable(value):
+        return value
+    mask = getattr(value, "mask", None)
+    if isinstance(mask, np.ndarray | np.generic) and mask.any():
+        raise ValueError(
+            f"{name} has {int(mask.sum())} masked entries of {mask.size}, behind which any number may stand: leave "
+            "them out, or fill them, as x.filled(value) does"
+        )
+    unit = getattr(value, "unit", None)
+    unit = getattr(value, "units", None) if unit is None else unit
+    if unit is not None:
+        raise ValueError(
+            f"{name} must be plain numbers, got {kind.__name__} with the unit {printable(str(unit))!r}: convert it to "
+            "the unit that is wanted here, and give its numbers, as x.to_value(…) of astropy, x.m_as(…) of pint and "
+            "x.values of xarray are"
+        )
+    return np.asarray(value) if isinstance(value, np.ma.MaskedArray) else value  # pyright: ignore[reportReturnType]
+
+
+def all_plain(**given: object) -> None:
+    """ValueError if an argument has masked entries or a unit, by its name."""
+    for name, value in given.items():
+        plain(name, value)
+
+
+def host_array(name: str, value: Input, dtype: DTypeLike | None = None) -> np.ndarray:
+    """`value` as a NumPy array; ValueError for masked entries or a unit."""
+    return np.asarray(plain(name, value), dtype)
+
+
 def real_array(
     name: str, value: Input, *shapes: Sequence[int], finite: bool = True, like: Array | None = None
 ) -> Array:
@@ -156,6 +205,7 @@ def real_array(
 
     Python numbers, which have no dtype, get that of `like`. Without it a single one is weakly typed, an integer too.
     """
+    value = plain(name, value)
     try:
         if isinstance(value, int) and not isinstance(value, bool):
             value = float(value)
@@ -214,6 +264,7 @@ def for_each(check: Callable[..., Array], name: str, value: Input, count: int) -
 
 def step_size(dt: Input) -> Input:
     """`dt`, checked to be a real scalar; a Python integer as a float."""
+    dt = plain("dt", dt)
     if isinstance(dt, int) and not isinstance(dt, bool):
         try:
             dt = float(dt)

@@ -24,6 +24,8 @@ from typing import Protocol, SupportsFloat, runtime_checkable
 import numpy as np
 from numpy.typing import ArrayLike
 
+from lieint_jax._checks import host_array
+
 __all__ = ["SCALES", "Epoch", "epoch"]
 
 SCALES = ("UTC", "UT1", "TAI", "TT", "TDB", "GPS")
@@ -109,7 +111,7 @@ class Epoch:
         Raises:
             ValueError: a date that is further than 290 000 years away.
         """
-        t = np.asarray(seconds, np.float64)
+        t = host_array("seconds", seconds, np.float64)
         start = (self.day - _UNIX) * _DAY + self.second
         whole = np.floor(t)
         far = np.nanmax(np.abs(whole), initial=0.0) + abs(float(start))

@@ -20,7 +20,7 @@ import numpy as np
 from jax import Array
 from numpy.typing import ArrayLike
 
-from lieint_jax._checks import concrete, for_each, named, positive, real_array
+from lieint_jax._checks import all_plain, concrete, for_each, host_array, named, positive, real_array
 from lieint_jax.potentials import Potential
 from lieint_jax.types import Converted, PairLaw, argument, pytree
 
@@ -270,7 +270,8 @@ def double_synchronous(G: float, masses: ArrayLike, inertia: float, momentum: fl
         >>> round(found.distance, 9), round(found.period, 6)
         (1.0, 5.990782)
     """
-    m = np.asarray(masses, float)
+    all_plain(G=G, inertia=inertia, momentum=momentum)
+    m = host_array("masses", masses, float)
     GM, mu = G * m.sum(), m.prod() / m.sum()
     least = np.sqrt(3 * inertia / mu)
     if inertia and mu * np.sqrt(GM * least) + inertia * np.sqrt(GM / least**3) > momentum:

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from lieint_jax import dates
-from lieint_jax._checks import PRINTED
+from lieint_jax._checks import PRINTED, all_plain
 from lieint_jax._text import read_text
 from lieint_jax.files import _ccsds
 from lieint_jax.files._signs import join_signs
@@ -213,6 +213,7 @@ def _times_and_attitudes(
         return run.times, run.attitudes
     if not isinstance(run, Run):
         times, attitudes = run
+        all_plain(times=times, attitudes=attitudes)
         return times, attitudes
     if run.members is not None:
         raise ValueError("a message is of one body: give one member, run.member(k)")

@@ -12,14 +12,14 @@ from __future__ import annotations
 import dataclasses
 import functools
 from collections.abc import Callable
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import Array
 
-from lieint_jax._checks import concrete
+from lieint_jax._checks import all_plain, concrete, plain
 from lieint_jax.fitting._box import Box
 from lieint_jax.types.shapes import PyTree
 
@@ -76,6 +76,7 @@ def _itself(p: Array) -> Array:
 
 def interval(low: float, high: float) -> Bound:
     """The bound low < parameter < high for each component; either end may be infinite."""
+    all_plain(low=low, high=high)
     if np.ndim(low) or np.ndim(high):
         raise ValueError(f"an interval needs two numbers, got {low} and {high}: give a tree of bounds for several")
     if not low < high:
@@ -137,6 +138,11 @@ inertia = _bound(  # (3, 3), positive definite, triangle inequality
 )
 
 
+def _real(p: Any) -> Array:
+    p = plain("params", p)
+    return jnp.asarray(p, jnp.result_type(p, float))
+
+
 def coordinates(bounds: PyTree, params: PyTree) -> PyTree:
     """The coordinates of `params`.
 
@@ -147,7 +153,7 @@ def coordinates(bounds: PyTree, params: PyTree) -> PyTree:
     def of_part(bound: Bound, part: PyTree) -> PyTree:
         if not isinstance(bound, Bound):
             raise ValueError(f"bounds must be a tree of Bound objects, such as li.fitting.positive, got {bound!r}")
-        y = jax.tree.map(lambda p: bound.coordinates.coordinates(jnp.asarray(p, jnp.result_type(p, float))), part)
+        y = jax.tree.map(lambda p: bound.coordinates.coordinates(_real(p)), part)
         if concrete(y) and not is_inside(bound, y):
             raise ValueError(f"the first guess {part} is not inside its bound, {bound.name}{bound.condition}")
         return y

@@ -17,6 +17,8 @@ from __future__ import annotations
 import jax.numpy as jnp
 from jax import Array
 
+from lieint_jax._checks import all_plain
+
 DEGREES_OF_FREEDOM = 4.0
 _SMALL = 1e-8  # |e|²/(νσ²) below which log(1 + u)/u is 1 − u/2 to round-off
 
@@ -37,6 +39,7 @@ def student_t(
     Returns:
         Two arrays for `fit`: the errors, reduced the more the larger they are, (..., d); and the term of σ, (...).
     """
+    all_plain(errors=errors, noise=noise, least=least, freedom=freedom)
     d = errors.shape[-1]
     u = jnp.sum(errors * errors, axis=-1) / (freedom * jnp.square(noise))
     safe = jnp.where(u < _SMALL, 1, u)  # before the division, or its derivative is NaN at 0
@@ -50,6 +53,7 @@ def student_t_weights(errors: Array, noise: Array | float, freedom: Array | floa
 
     Arguments as in `student_t`. The weights are at most 1 + d/ν, about 1 where |e|² is dσ², and small for an outlier.
     """
+    all_plain(errors=errors, noise=noise, freedom=freedom)
     return (freedom + errors.shape[-1]) / (freedom + jnp.sum(errors * errors, axis=-1) / jnp.square(noise))
 
 
@@ -60,6 +64,7 @@ def student_t_curvature(errors: Array, noise: Array | float, freedom: Array | fl
     observed information, whose inverse is a better covariance than that of the expected one (Efron & Hinkley 1978,
     Biometrika 65, 457).
     """
+    all_plain(errors=errors, noise=noise, freedom=freedom)
     square = freedom * jnp.square(noise) + jnp.sum(errors * errors, axis=-1)
     outer = errors[..., :, None] * errors[..., None, :] / square[..., None, None]
     factor = student_t_weights(errors, noise, freedom) / jnp.square(noise)
@@ -68,4 +73,5 @@ def student_t_curvature(errors: Array, noise: Array | float, freedom: Array | fl
 
 def student_t_noise_error(vectors: int, d: int, freedom: float = DEGREES_OF_FREEDOM) -> float:
     """The standard error of log σ from a number of vectors of d components, by the information 2dν/(ν + d + 2)."""
+    all_plain(vectors=vectors, d=d, freedom=freedom)
     return (2 * d * freedom / (freedom + d + 2) * vectors) ** -0.5

@@ -18,6 +18,7 @@ import numpy as np
 from jax import Array
 from numpy.typing import ArrayLike
 
+from lieint_jax._checks import host_array
 from lieint_jax._numerics import small_linalg as la
 from lieint_jax._xla import materialized
 from lieint_jax.groups import _casimirs, bases, closed_forms
@@ -503,7 +504,7 @@ class MatrixGroup:
 
 def _checked(basis: ArrayLike) -> np.ndarray:
     """Real matrices (d, n, n)."""
-    E = np.asarray(basis)
+    E = host_array("basis", basis)
     if E.ndim != 3 or E.shape[1] != E.shape[2] or not E.size:
         raise ValueError(f"basis must be d square matrices, shape (d, n, n), got shape {E.shape}")
     if not np.issubdtype(E.dtype, np.number):

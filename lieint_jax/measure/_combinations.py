@@ -8,6 +8,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike
 
+from lieint_jax._checks import all_plain, host_array
 from lieint_jax.measure._spectrum import periodogram
 
 __all__ = [
@@ -132,6 +133,7 @@ def double_periods(
 
     Source: Pravec et al. 2005, Icarus 173, 108.
     """
+    all_plain(low=low, high=high, separation=separation, step=step)
     t, y = _finite_series(t, x)
     step = float(1 / (_PER_RESOLUTION * np.ptp(t))) if step is None else step
     numbers = np.arange(int(low / step) + 1, int(high / step))
@@ -152,7 +154,7 @@ def double_periods(
 
 def _finite_series(t: ArrayLike, x: ArrayLike) -> tuple[np.ndarray, np.ndarray]:
     """Times and values, (times,), checked."""
-    t, y = np.asarray(t, float), np.asarray(x, float)
+    t, y = host_array("t", t, float), host_array("x", x, float)
     if t.ndim != 1 or y.shape != t.shape or not np.isfinite([t, y]).all():
         raise ValueError(f"t and x must be finite, (times,) both, got shapes {t.shape} and {y.shape}, or a NaN")
     return t, y
@@ -198,8 +200,9 @@ def combination(frequency: float, pair: ArrayLike, order: int, width: float) -> 
         >>> j, k, round(difference, 9)
         (1, 1, 0.0)
     """
+    all_plain(frequency=frequency, width=width)
     jk = combinations(order)
-    f = jk @ np.asarray(pair)
+    f = jk @ host_array("pair", pair)
     off, size = abs(f - frequency), abs(jk).sum(axis=1)
     best = int(np.lexsort((off, np.where(off < width, size, size.max() + off / width)))[0])
     return Combination(int(jk[best, 0]), int(jk[best, 1]), float(frequency - f[best]))
@@ -212,7 +215,9 @@ def chance_of_match(frequencies: ArrayLike, low: float, high: float, width: floa
         >>> round(chance_of_match([0.1, 0.11, 0.3], 0.0, 0.5, 0.01), 9)
         0.1
     """
-    below, above = ((np.sort(np.ravel(frequencies)) + side).clip(low, high) for side in (-width, width))
+    all_plain(low=low, high=high, width=width)
+    lines = np.sort(np.ravel(host_array("frequencies", frequencies)))
+    below, above = ((lines + side).clip(low, high) for side in (-width, width))
     covered = np.append(low, above[:-1])  # the upper end of the part covered by lower frequencies
     return float((above - np.maximum(below, covered)).sum() / (high - low))
 
@@ -226,7 +231,8 @@ def equivalent_pairs(pair: ArrayLike, low: float, high: float, most: int = 2) ->
         >>> equivalent_pairs([0.05, 0.08], 0.04, 0.09, most=1).tolist()
         [[0.05, 0.08], [0.08, 0.05]]
     """
-    f, g = np.asarray(pair)
+    all_plain(low=low, high=high)
+    f, g = host_array("pair", pair)
     integers = np.array(list(itertools.product(range(-most, most + 1), repeat=4)))
     a, b, c, d = integers.T
     found = np.stack([a * f + b * g, c * f + d * g], axis=1)[abs(a * d - b * c) == 1]

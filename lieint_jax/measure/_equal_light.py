@@ -24,6 +24,7 @@ import jax
 import numpy as np
 from jax import Array
 
+from lieint_jax._checks import all_plain
 from lieint_jax.groups import so3
 from lieint_jax.measure._light import glossy_brightness
 from lieint_jax.shapes import GlossyFacets
@@ -121,6 +122,7 @@ def light_changes(facets: GlossyFacets, sun: np.ndarray, observer: np.ndarray) -
         facets: of the body.
         sun, observer: unit vectors in space, from the body, (n, 3).
     """
+    all_plain(sun=sun, observer=observer)
     normal = np.linalg.svd(np.concatenate([sun, observer]))[2][2]
     bisector = sun.mean(axis=0) / np.linalg.norm(sun.mean(axis=0)) + observer.mean(axis=0)
     bisector = bisector - (bisector @ normal) * normal  # so that the two rotations commute
@@ -159,6 +161,7 @@ def _axis_rotations() -> np.ndarray:
 
 def is_light_symmetry(facets: GlossyFacets, rotation: np.ndarray) -> bool:
     """Whether a rotation or reflection of the body, (3, 3), maps its facets to facets that send the same light."""
+    all_plain(rotation=rotation)
     normals, areas = np.asarray(facets.normals), np.asarray(facets.areas)
     surfaces = np.stack([facets.diffuse, facets.specular, facets.exponent], axis=1)
     for n in np.concatenate([normals, normals @ rotation.T]):
@@ -186,6 +189,7 @@ def light_differences(facets: GlossyFacets, q: np.ndarray, sun: np.ndarray, obse
     It is the root mean square of the differences in magnitude, less their mean, along attitudes q, (n, 4), under
     directions to Sun and observer, (n, 3).
     """
+    all_plain(q=q, sun=sun, observer=observer)
     found, light = np.zeros(len(SPACE_CHANGES)), _lights(facets, q, sun, observer)
     for change in light_changes(facets, sun, observer):
         if change.name == SPACE_CHANGES[change.space]:

@@ -12,6 +12,7 @@ from jax import Array
 from jax.custom_derivatives import SymbolicZero
 from jax.typing import ArrayLike
 
+from lieint_jax._checks import all_plain
 from lieint_jax.groups import so3
 from lieint_jax.measure._states import Directions, directions, map_run, rotate, rotation
 from lieint_jax.runs import Run
@@ -28,7 +29,7 @@ _Scene = tuple[GlossyFacets, Array, Array]  # facets, directions to Sun and obse
 
 def lambert(mu0: Array, mu: Array) -> Array:
     """Lambert's law with albedo 1, μ0: diffuse reflection, equally bright from all sides."""
-    del mu
+    all_plain(mu0=mu0, mu=mu)
     return mu0
 
 
@@ -53,6 +54,7 @@ def brightness(
 
     Source: Kaasalainen & Torppa 2001, Icarus 153, 24, (2).
     """
+    all_plain(q=q, sun=sun, observer=observer)
     q = jnp.asarray(q)
     s, o = (_to_body(q, jnp.asarray(v, q.dtype)) for v in (sun, observer))
     mu0, mu = (rotate(facets.normals, _unit(v)) for v in (s, o))
@@ -91,6 +93,7 @@ def glossy_brightness(facets: GlossyFacets, q: Array, sun: Array, observer: Arra
 
     Source of the lobe: Blinn 1977, Proc. SIGGRAPH, 192.
     """
+    all_plain(q=q, sun=sun, observer=observer)
     return _glossy(q, (facets, sun, observer))
 
 

@@ -6,6 +6,8 @@ import numpy as np
 from jax import Array
 from numpy.typing import ArrayLike
 
+from lieint_jax._checks import host_array, plain
+
 __all__ = ["captured_since", "first_below", "is_librating", "mean_rate", "unwrapped"]
 
 
@@ -18,8 +20,8 @@ def unwrapped(t: ArrayLike, angle: ArrayLike, rate: ArrayLike = 0.0) -> np.ndarr
         rate: the expected rate, in radians per unit of time, (…) or a scalar: between two times the angle must deviate
             from that rate by less than π. With it, a spin that is saved less than twice a revolution is continued too.
     """
-    t, angle = np.asarray(t), np.asarray(angle)
-    expected = rate * (t - t[0]).reshape(-1, *[1] * (angle.ndim - 1))
+    t, angle = host_array("t", t), host_array("angle", angle)
+    expected = plain("rate", rate) * (t - t[0]).reshape(-1, *[1] * (angle.ndim - 1))
     return expected + np.unwrap(angle - expected, axis=0)
 
 
@@ -36,7 +38,7 @@ def mean_rate(t: ArrayLike | Array, angle: ArrayLike | Array) -> np.ndarray | Ar
     Returns:
         Radians per unit of time, (…); NaN if there is one time only.
     """
-    t, angle = (x if isinstance(x, Array) else np.asarray(x) for x in (t, angle))
+    t, angle = (x if isinstance(x, Array) else host_array(name, x) for name, x in (("t", t), ("angle", angle)))
     centered = t - t.mean()
     with np.errstate(invalid="ignore"):
         return (centered @ angle.reshape(len(t), -1)).reshape(angle.shape[1:]) / (centered @ centered)
@@ -55,7 +57,7 @@ def is_librating(angle: ArrayLike, bound: float = np.pi / 2) -> np.ndarray:
     Returns:
         Truth values (…); False where the angle is NaN.
     """
-    angle = np.asarray(angle)
+    angle, bound = host_array("angle", angle), plain("bound", bound)
     center = 2 * bound * np.round(angle[0] / (2 * bound))
     return np.max(np.abs(angle - center), axis=0) < bound
 
@@ -71,7 +73,7 @@ def captured_since(t: ArrayLike, angle: ArrayLike, limit: float) -> np.ndarray:
     Returns:
         Times (…); NaN where the angle is above the limit at the end.
     """
-    t, far = np.asarray(t), ~(np.asarray(angle) <= limit)
+    t, far = host_array("t", t), ~(host_array("angle", angle) <= plain("limit", limit))
     since = np.where(far.any(axis=0), len(t) - far[::-1].argmax(axis=0), 0)
     return np.where(since < len(t), t[np.minimum(since, len(t) - 1)], np.nan)[()]
 
@@ -88,7 +90,7 @@ def first_below(t: ArrayLike, x: ArrayLike, limit: float, *, interpolate: bool =
     Returns:
         Times (…); NaN where the series is never below the limit.
     """
-    t, x = np.asarray(t), np.asarray(x)
+    t, x, limit = host_array("t", t), host_array("x", x), plain("limit", limit)
     below = x < limit
     k = below.argmax(axis=0)
     found = np.where(below.any(axis=0), t[k], np.nan)

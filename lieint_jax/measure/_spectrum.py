@@ -8,6 +8,8 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike
 
+from lieint_jax._checks import host_array
+
 __all__ = ["Line", "Periodogram", "Spectrum", "complex_rates", "line", "periodogram", "spectrum"]
 
 _REFINEMENTS = 6  # of a frequency, each by the parabola through three values of the transform
@@ -57,7 +59,7 @@ def spectrum(t: ArrayLike, x: ArrayLike) -> Spectrum:
     Raises:
         ValueError: the times are not evenly spaced, or fewer than 4.
     """
-    if len(np.asarray(t)) < _FEWEST:
+    if len(host_array("t", t)) < _FEWEST:
         raise ValueError(f"a spectrum needs at least {_FEWEST} times, got {len(np.asarray(t))}")
     spacing, windowed, weight = _windowed(t, x)
     amplitude = 2 * abs(np.fft.rfft(windowed, axis=0)) / weight
@@ -84,7 +86,8 @@ def line(t: ArrayLike, x: ArrayLike, low: ArrayLike, high: ArrayLike) -> Line:
     Raises:
         ValueError: the times are not evenly spaced.
     """
-    if len(np.asarray(t)) < _FEWEST:
+    low, high = host_array("low", low), host_array("high", high)
+    if len(host_array("t", t)) < _FEWEST:
         nothing = np.full(np.shape(x)[1:], np.nan)[()]
         return Line(nothing, nothing)
     spacing, windowed, weight = _windowed(t, x)
@@ -127,7 +130,7 @@ def complex_rates(t: ArrayLike, z: ArrayLike, count: int = 2) -> np.ndarray:
         >>> complex_rates(t, np.exp((0.1 + 2j) * t) + np.exp(-1j * t)).round(9).tolist()
         [(2-0.1j), (-1+0j)]
     """
-    z = np.asarray(z)
+    z = host_array("z", z)
     if len(z) < 4 * count or not np.isfinite(z).all() or not z.any():
         return np.full(count, np.nan + 0j)
     columns = np.stack([z[count - k : len(z) - k] for k in range(1, count + 1)], axis=1)
@@ -139,8 +142,8 @@ def complex_rates(t: ArrayLike, z: ArrayLike, count: int = 2) -> np.ndarray:
 
 def even_spacing(t: ArrayLike) -> float:
     """The signed spacing of evenly spaced times, up to the rounding of their type; ValueError if they are not."""
-    rounding = np.spacing(np.max(np.abs(np.asarray(t))))
-    t = np.asarray(t, float)
+    t = host_array("t", t)
+    rounding, t = np.spacing(np.max(np.abs(t))), np.asarray(t, float)
     spacing = (t[-1] - t[0]) / max(len(t) - 1, 1)
     if len(t) > 1 and not np.max(abs(np.diff(t) - spacing)) <= _EVEN * abs(spacing) + rounding:
         raise ValueError("the times must be evenly spaced: save every step or every n-th one, or use periodogram")
@@ -149,7 +152,7 @@ def even_spacing(t: ArrayLike) -> float:
 
 def _windowed(t: ArrayLike, x: ArrayLike) -> tuple[float, np.ndarray, float]:
     """The spacing of the times, the series less its mean under the window, and the sum of the window."""
-    x, spacing = np.asarray(x), abs(even_spacing(t))
+    x, spacing = host_array("x", x), abs(even_spacing(t))
     window = np.hanning(len(x))
     return spacing, _column(window, x.ndim) * (x - x.mean(axis=0)), float(window.sum())
 
@@ -200,9 +203,9 @@ def periodogram(
     Source: Zechmeister & Kürster 2009, Astron. Astrophys. 496, 577; the probability: Baluev 2008, Mon. Not. R. Astron.
     Soc. 385, 1279, (6) and Table 1, for z₁ and a constant as the model without a signal.
     """
-    t, x = np.asarray(t, float), np.asarray(x, float)
+    t, x = host_array("t", t, float), host_array("x", x, float)
     n = len(t)
-    sigma = np.ones(n) if errors is None else np.asarray(errors, float)
+    sigma = np.ones(n) if errors is None else host_array("errors", errors, float)
     if n < 5 or len(x) != n or sigma.shape != (n,) or not (np.isfinite([t, sigma]).all() and (sigma > 0).all()):
         raise ValueError(
             "t (times,) must hold at least 5 finite times, x be (times, …), and errors positive and finite, (times,); "
@@ -211,7 +214,7 @@ def periodogram(
     duration = np.ptp(t)
     if frequencies is None:
         frequencies = np.arange(_OVERSAMPLING, (n - 1) / 2 * _OVERSAMPLING) / (_OVERSAMPLING * duration)
-    f = np.asarray(frequencies, float)
+    f = host_array("frequencies", frequencies, float)
     if f.ndim != 1 or not len(f) or not (f > 0).all() or not np.isfinite(f).all():
         raise ValueError(f"frequencies must be finite and positive, (frequencies,), got {f}; {duration = :g}")
     w = sigma**-2 / np.sum(sigma**-2)

@@ -10,6 +10,7 @@ import numpy as np
 from jax import Array
 from jax.typing import ArrayLike
 
+from lieint_jax._checks import plain
 from lieint_jax.dates import Epoch, epoch
 
 __all__ = ["EARTH_GM", "EARTH_J2", "EARTH_RADIUS", "EARTH_RATE", "J2000", "earth_rotation_angle", "julian_date"]
@@ -41,7 +42,7 @@ def julian_date(year: int, month: int, day: int, hours: float = 0.0) -> float:
         days = datetime.date(year, month, day).toordinal()
     except (TypeError, ValueError) as error:
         raise ValueError(f"year, month, day must be a day of the calendar, got {year}, {month}, {day}") from error
-    return days + _ORDINAL + float(hours) / 24
+    return days + _ORDINAL + float(plain("hours", hours)) / 24
 
 
 def days_since_j2000(date: ArrayLike | Epoch | str, universal: bool = True) -> Any:
@@ -52,7 +53,7 @@ def days_since_j2000(date: ArrayLike | Epoch | str, universal: bool = True) -> A
         universal: refuse a date that is not in UTC or UT1.
     """
     if isinstance(date, np.ndarray | np.generic | Array | list | tuple) and not isinstance(date, float):
-        return jnp.asarray(date) - J2000
+        return jnp.asarray(plain("date", date)) - J2000
     found = epoch(date)  # pyright: ignore[reportArgumentType]  # which refuses what is no date
     return (found if found.scale == "UT1" or not universal else found.to("UTC")).julian_date - J2000
 

@@ -38,6 +38,7 @@ def graded_times(
     Raises:
         ValueError: t0 = t1, a time is not finite, n < 1, or c ≤ 0.
     """
+    _checks.all_plain(t0=t0, t1=t1, c=c)
     n, t0, t1, c = _checks.count("n", n, 1), float(t0), float(t1), float(c)
     if not (math.isfinite(t0) and math.isfinite(t1) and t0 != t1):
         raise ValueError(f"t0 and t1 must be finite and differ, got {t0} and {t1}")

@@ -172,7 +172,7 @@ def earth_field(
     turning = R, angle, _checks.real_array("rate", rate, ())
     orbit = callable_pytree(orbit)
     if coefficients is not None and np.ndim(coefficients) == 2:
-        rows = np.asarray(coefficients, float)
+        rows = _checks.host_array("coefficients", coefficients, float)
         orders, degree = rows[:, :2].astype(int), int(rows[:, 0].max())
         return HarmonicField(orbit, jnp.asarray(_weights(orders, rows[:, 2], degree)), *turning)
     if degree > 1:

@@ -66,11 +66,11 @@ def molecule(
         ValueError: shapes disagree, masses or wells are negative, the total mass is 0, the masses lie on one line (no
             inertia about it), or sizes are missing where wells are given.
     """
-    m, at = np.asarray(masses, float), np.asarray(points, float)
+    m, at = _checks.host_array("masses", masses, float), _checks.host_array("points", points, float)
     if m.ndim != 1 or not m.size or at.shape != (m.size, 3):
         raise ValueError(f"masses (n,) and points (n, 3) are needed, got shapes {m.shape} and {at.shape}")
     given = {"charges": charges, "wells": wells, "sizes": sizes}
-    numbers = {name: np.zeros(m.size) if x is None else np.asarray(x, float) for name, x in given.items()}
+    numbers = {name: np.zeros(m.size) if x is None else _checks.host_array(name, x, float) for name, x in given.items()}
     for name, x in {"masses": m, "points": at, **numbers}.items():
         if name != "points" and x.shape != m.shape:
             raise ValueError(f"{name} must have shape {m.shape}, as masses, got {x.shape}")

@@ -108,7 +108,7 @@ def kirchhoff(semi_axes: tuple[float, float, float] = (3.0, 2.0, 1.0), center_of
         raise ValueError(
             "semi_axes and center_of_mass must be known numbers: call kirchhoff outside jit, vmap and grad"
         )
-    axes = np.asarray(semi_axes, float)
+    axes = _checks.host_array("semi_axes", semi_axes, float)
     if axes.shape != (3,) or not np.all(np.isfinite(axes)) or axes.min() <= 0:
         raise ValueError(f"semi_axes must be three positive lengths, got {semi_axes}")
     with at_once():
@@ -172,6 +172,7 @@ def manakov_integrals(a: ArrayLike, Pi: Vector6) -> MomentumMap:
         a: as given to `manakov`, shape (n,).
         Pi: body momentum, shape (n(n−1)/2,).
     """
+    _checks.all_plain(a=a, Pi=Pi)
     a = jnp.asarray(a)
     n = len(a)
     M = jnp.zeros((n, n), Pi.dtype).at[np.triu_indices(n, 1)].set(Pi)

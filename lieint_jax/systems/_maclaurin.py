@@ -7,6 +7,8 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike
 
+from lieint_jax._checks import host_array
+
 __all__ = ["Spheroid", "maclaurin_modes", "maclaurin_spheroid"]
 
 
@@ -34,7 +36,7 @@ def maclaurin_spheroid(eccentricity: ArrayLike) -> Spheroid:
         >>> round(float(Omega) ** 2 * 4 / 3, 5)  # over πGρ
         0.37423
     """
-    e = np.asarray(eccentricity, float)
+    e = host_array("eccentricity", eccentricity, float)
     q = np.sqrt(1 - e * e)
     _, first, second = _arcsine(e)
     square = 2 * (q * e) ** 2 * (3 * second - 2 * first)  # 2q/e³ (3 − 2e²) arcsin e − 6q²/e², over πGρ = 3/4
@@ -52,7 +54,7 @@ def maclaurin_modes(eccentricity: ArrayLike) -> np.ndarray:
 
     Source: Chandrasekhar 1969, Ellipsoidal Figures of Equilibrium, § 33 (105), in space.
     """
-    e = np.asarray(eccentricity, float)
+    e = host_array("eccentricity", eccentricity, float)
     Omega, q = maclaurin_spheroid(e).angular_velocity, np.sqrt(1 - e * e)
     _, first, second = _arcsine(e)
     A1 = q * q * first  # q/e³ arcsin e − q²/e²; A₃ = 2/e² − 2q/e³ arcsin e

@@ -7,6 +7,7 @@ from jax import Array
 from numpy.typing import ArrayLike
 
 from lieint_jax import _free_body
+from lieint_jax._checks import all_plain
 from lieint_jax._xla import compiled
 from lieint_jax.capabilities import AbstractFreeBody
 from lieint_jax.groups import so3
@@ -97,6 +98,8 @@ def tumbling_state(
         >>> round(float(found.precession), 9), round(float(found.rotation), 9), bool(found.long_axis)
         (20.0, 60.0, False)
     """
+    all_plain(moments=moments, precession=precession, rotation=rotation, pole=pole)
+    all_plain(phi=phi, psi=psi, toward=toward)
     J, P_phi, P_psi, along = (jnp.asarray(x) for x in (moments, precession, rotation, pole))
     unit, angle = _free_body.momentum_of_ratio(J, P_psi / P_phi, long_axis), jnp.asarray(phi)
     size = _free_body.periods(J, unit).precession / P_phi

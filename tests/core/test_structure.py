@@ -46,7 +46,8 @@ FLOORS = [  # from the roof down; a module imports only from floors below its ow
     ("native",),
     ("_xla",),
     ("_text",),
-    ("_checks", "_deprecated", "_discover", "_version", "dates"),
+    ("dates",),
+    ("_checks", "_deprecated", "_discover", "_version"),
 ]
 LEVEL = {name: level for level, floor in enumerate(FLOORS) for name in floor}
 CORE = {"jax", "numpy"}  # and the standard library: all that the numerical core needs, everything below `runs`

@@ -262,6 +262,8 @@ def _split_time(step: Step, states: State, made: range | None) -> tuple[State, d
     function has `made` are not a shared one: those of a part do not show whether all are equal.
     """
     first = 0 if made is None else made.start
+    for name, x in leaves_by_name(states).items():
+        _checks.plain(f"states.{_python_name(name)}", x)
     shapes = {name: np.shape(x) for name, x in leaves_by_name(states).items()}
     for key in states.extra or {}:
         if not str(key).isidentifier():
