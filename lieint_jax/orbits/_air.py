@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+from functools import partial
 from typing import Any
 
 import jax.numpy as jnp
@@ -14,7 +15,7 @@ from lieint_jax import _checks
 from lieint_jax._checks import concrete, named, not_negative, positive
 from lieint_jax.orbits._earth import EARTH_RADIUS, EARTH_RATE
 from lieint_jax.orbits._from_state import KeplerFromState
-from lieint_jax.orbits._kepler import Kepler
+from lieint_jax.orbits._kepler import Kepler, kepler
 from lieint_jax.orbits._secular import SecularJ2
 from lieint_jax.orbits._table import Table
 from lieint_jax.types import Converted, argument, callable_pytree, pytree
@@ -110,3 +111,9 @@ def _lowest(orbit: Any) -> float | None:
 
 
 atmosphere = Air
+
+
+def examples() -> dict[str, partial[Any]]:
+    """Calls of these functions with all their numbers."""
+    air = {"density": 0.3, "scale_height": 0.1, "height": 0.1, "radius": 0.8, "rate": 0.06}
+    return {"atmosphere": partial(atmosphere, orbit=kepler(1.3, 1.2, 0.1, 0.7), **air)}

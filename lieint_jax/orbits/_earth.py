@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import datetime
+from functools import partial
 from typing import Any
 
 import jax.numpy as jnp
@@ -73,3 +74,11 @@ def earth_rotation_angle(date: ArrayLike | Epoch | str) -> Array:
     days = days_since_j2000(date)
     turns = 0.7790572732640 + 0.00273781191135448 * days + days % 1
     return jnp.asarray(2 * jnp.pi * (turns % 1))
+
+
+def examples() -> dict[str, partial[Any]]:
+    """Calls of these functions with all their numbers."""
+    return {
+        "earth_rotation_angle": partial(earth_rotation_angle, date=jnp.array(2451545.3)),
+        "julian_date": partial(julian_date, year=2000, month=1, day=2, hours=3.5),
+    }

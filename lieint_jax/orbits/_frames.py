@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import partial
 from typing import Any
 
 import jax
@@ -12,7 +13,7 @@ from jax.typing import ArrayLike
 from lieint_jax import _checks
 from lieint_jax.groups import so3
 from lieint_jax.orbits._from_state import KeplerFromState
-from lieint_jax.orbits._kepler import Kepler
+from lieint_jax.orbits._kepler import Kepler, kepler
 from lieint_jax.types import Converted, argument, callable_pytree, pytree
 from lieint_jax.types.vectors import cross, dot, norm
 
@@ -65,3 +66,8 @@ class LocalFrame:
 
 
 lvlh = LocalFrame
+
+
+def examples() -> dict[str, partial[Any]]:
+    """Calls of these functions with all their numbers."""
+    return {"lvlh": partial(lvlh, orbit=kepler(1.3, 1.2, 0.1, 0.7))}

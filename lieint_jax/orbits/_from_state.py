@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from functools import partial
+from typing import Any
+
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -236,3 +239,9 @@ def _(primals: tuple[Array, ...], tangents: tuple[Array, ...]) -> tuple[Array, A
 
 
 from_state = KeplerFromState
+
+
+def examples() -> dict[str, partial[Any]]:
+    """Calls of these functions with all their numbers."""
+    at = {"position": jnp.array([0.0, 0.84, 0.91]), "velocity": jnp.array([0.14, -0.76, -0.96])}
+    return {"from_state": partial(from_state, mu=1.3, **at, t=0.1)}

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
+from functools import partial
+from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -11,6 +13,7 @@ import numpy as np
 from jax import Array
 
 from lieint_jax import _checks
+from lieint_jax.orbits._kepler import kepler
 
 __all__ = ["graded_times"]
 
@@ -53,3 +56,8 @@ def graded_times(
         s = np.concatenate([[0.0], np.cumsum((rate[1:] + rate[:-1]) * np.diff(fine))])
         times = np.interp(np.linspace(0, 1, n + 1), s / s[-1], fine)
     return times
+
+
+def examples() -> dict[str, partial[Any]]:
+    """Calls of these functions with all their numbers."""
+    return {"graded_times": partial(graded_times, orbit=kepler(1.3, 1.2, 0.1), t0=0.1, t1=0.9, n=4, c=0.15)}

@@ -10,6 +10,8 @@ from __future__ import annotations
 
 import dataclasses
 import functools
+from functools import partial
+from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -233,3 +235,15 @@ def _in_plane(E: Array, e: Array, rest: Array, sine: Function, cosine: Function)
     """Position and velocity in the plane, with rest = |1 − e| and the circular or the hyperbolic functions."""
     r, b = slope(E, e, rest, sine), jnp.sqrt(rest * (1 + e))
     return rest - 2 * sine(E / 2) ** 2, b * sine(E), -sine(E) / r, b * cosine(E) / r
+
+
+def examples() -> dict[str, partial[Any]]:
+    """Calls of these functions with all their numbers."""
+    angles = {"inclination": 0.7, "node": 0.4, "periapsis": 0.2, "periapsis_time": 0.1}
+    speeds = {"semi_major_axis": 1.1, "eccentricity": 0.3, "inclination": 0.2}
+    return {
+        "kepler": partial(kepler, mu=1.3, semi_major_axis=1.1, eccentricity=0.1, **angles),
+        "kepler on a hyperbola": partial(kepler, mu=1.3, semi_major_axis=-1.1, eccentricity=1.3, **angles),
+        "hyperbola": partial(hyperbola, mu=1.3, distance=0.4, speed=0.7),
+        "encounter_speed": partial(encounter_speed, **speeds),
+    }

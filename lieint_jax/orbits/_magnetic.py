@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import datetime
-from functools import cache
+from functools import cache, partial
 from pathlib import Path
 from typing import Any
 
@@ -17,6 +17,7 @@ from lieint_jax._checks import positive
 from lieint_jax.dates import Epoch
 from lieint_jax.orbits._air import above_ground
 from lieint_jax.orbits._earth import EARTH_RATE, J2000, days_since_j2000, earth_rotation_angle, julian_date
+from lieint_jax.orbits._kepler import kepler
 from lieint_jax.types import callable_pytree, pytree
 from lieint_jax.types.vectors import dot
 
@@ -203,3 +204,10 @@ def _gauss(date: Any, degree: int) -> tuple[np.ndarray, np.ndarray]:
 def _table() -> np.ndarray:
     """Degree, order, and the coefficients of `_YEARS` in nT."""
     return np.loadtxt(Path(__file__).with_name("igrf14.csv"), delimiter=",", skiprows=3)
+
+
+def examples() -> dict[str, partial[Any]]:
+    """Calls of these functions with all their numbers."""
+    orbit, more = kepler(1.3, 1.2, 0.1, 0.7), {"radius": 0.8, "rate": 0.06, "degree": 1}
+    dipole, date = jnp.array([0.1, 0.2, -0.9]), jnp.array(2460676.5)
+    return {"earth_field": partial(earth_field, orbit=orbit, date=date, coefficients=dipole, **more)}

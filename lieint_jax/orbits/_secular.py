@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import dataclasses
+from functools import partial
+from typing import Any
 
 import jax.numpy as jnp
 from jax import Array
@@ -119,3 +121,10 @@ def secular_j2(
             )
     dtype = orbit.mu.dtype
     return SecularJ2(orbit, j2.astype(dtype), R.astype(dtype))
+
+
+def examples() -> dict[str, partial[Any]]:
+    """Calls of these functions with all their numbers."""
+    elements = {"mu": 1.3, "semi_major_axis": 1.1, "eccentricity": 0.1, "inclination": 0.7}
+    angles = {"node": 0.4, "periapsis": 0.2, "periapsis_time": 0.1}
+    return {"secular_j2": partial(secular_j2, **elements, **angles, J2=0.1, radius=0.3)}

@@ -13,6 +13,7 @@ import numpy as np
 from jax import Array
 from jax.typing import ArrayLike
 
+from lieint_jax.orbits._kepler import kepler
 from lieint_jax.types import pytree, static
 
 __all__ = ["SharedFrame", "SharedFunction", "shared"]
@@ -81,3 +82,8 @@ def shared(function: Any) -> SharedFunction:
     """
     kind = SharedFrame if hasattr(function, "angular_velocity") else SharedFunction
     return kind(_Constant(function))
+
+
+def examples() -> dict[str, partial[Any]]:
+    """Calls of these functions with all their numbers."""
+    return {"shared": partial(shared, function=kepler(1.3, 1.2, 0.1))}

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import partial
 from typing import Any, Literal
 
 import jax.numpy as jnp
@@ -15,6 +16,7 @@ from lieint_jax.dates import Epoch
 from lieint_jax.orbits._air import above_ground
 from lieint_jax.orbits._anomaly import less_sine
 from lieint_jax.orbits._earth import EARTH_RADIUS, days_since_j2000
+from lieint_jax.orbits._kepler import kepler
 from lieint_jax.types import Converted, argument, callable_pytree, pytree, static
 from lieint_jax.types.vectors import cross, dot, norm
 
@@ -136,3 +138,13 @@ def _covered_fraction(a: Array, b: Array, c: Array) -> Array:
 
 
 eclipse = Eclipse
+
+
+def examples() -> dict[str, partial[Any]]:
+    """Calls of these functions with all their numbers."""
+    night = {"orbit": kepler(1.3, 1.2, 0.1), "sun": jnp.array([-0.6, -0.8, 0.0]), "radius": 0.8, "angle": 0.3}
+    return {
+        "sun_direction": partial(sun_direction, date=jnp.array(2460676.5), day=0.1),
+        "eclipse": partial(eclipse, **night, shadow="conical"),
+        "eclipse by a cylinder": partial(eclipse, **night, shadow="cylindrical"),
+    }

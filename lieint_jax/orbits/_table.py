@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import warnings
+from functools import partial
 from typing import Any
 
 import jax.numpy as jnp
@@ -179,3 +180,14 @@ def _slopes(t: Array, x: Array) -> Array:
     inner = (after * rate[:-1] + before * rate[1:]) / (before + after)
     first, last = 2 * rate[0] - inner[0], 2 * rate[-1] - inner[-1]
     return jnp.concatenate([first[None], inner, last[None]])
+
+
+def examples() -> dict[str, partial[Any]]:
+    """Calls of these functions with all their numbers."""
+    times = jnp.linspace(-0.6, 1.2, 5)
+    c, s = jnp.cos(times), jnp.sin(times)
+    rows, rates = jnp.stack([c, s, 0.1 * times], 1), jnp.stack([-s, c, 0.1 + 0 * times], 1)
+    return {
+        "table": partial(table, times=times, positions=rows, velocities=rates),
+        "vector_table": partial(vector_table, times=times, values=rows),
+    }

@@ -8,6 +8,8 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from functools import partial
+from typing import Any
 
 import jax.numpy as jnp
 from jax import Array, lax
@@ -95,3 +97,9 @@ def _confocal(squares: Array, axes: Array) -> Array:
 
 
 ellipsoid_sphere = EllipsoidSphere
+
+
+def examples() -> dict[str, partial[Any]]:
+    """Calls of these functions with all their numbers."""
+    masses, semi_axes = jnp.array([2.0, 1.0]), jnp.array([1.0, 0.8, 0.3])
+    return {"ellipsoid_sphere": partial(ellipsoid_sphere, G=1.3, masses=masses, semi_axes=semi_axes)}

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from functools import partial
 from typing import Any
 
 import jax
@@ -13,6 +14,7 @@ from lieint_jax import _checks
 from lieint_jax._checks import concrete, named
 from lieint_jax.groups import so3
 from lieint_jax.potentials._potential import Potential
+from lieint_jax.potentials._rod import rod
 from lieint_jax.types import Converted, argument, callable_pytree, pytree, with_fields
 from lieint_jax.types.shapes import PoseMomenta, Positions, Rotations, Scalar
 
@@ -150,3 +152,11 @@ class Held(Potential):
 
 
 held = Held
+
+
+def examples() -> dict[str, partial[Any]]:
+    """Calls of these functions with all their numbers."""
+    chain = rod([0.7, 0.7], (1.3, 1.1, 2.0), (0.3, 0.4, 0.2))
+    first = jnp.array([0.3, -0.5, 0.7, 0.8, -0.4, 0.4, 0.2])
+    last = jnp.array([0.5, 0.7, 0.9, 0.8, -0.4, 0.4, 0.2])
+    return {"held": partial(held, potential=chain, first=first, last=last)}

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from functools import partial
+from typing import Any
+
 import jax.numpy as jnp
 import numpy as np
 from jax import Array
@@ -134,3 +137,9 @@ def _form(J: Array, Gamma: Array) -> Array:
 
 
 maccullagh = MacCullagh
+
+
+def examples() -> dict[str, partial[Any]]:
+    """Calls of these functions with all their numbers."""
+    inertias = jnp.array([[1.3, 1.7, 2.2], [0.13, 0.17, 0.22]])
+    return {"maccullagh": partial(maccullagh, G=1.3, masses=jnp.array([2.0, 1.0]), inertias=inertias)}

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from functools import partial
+from typing import Any, NamedTuple
 
 import jax.numpy as jnp
 import numpy as np
@@ -130,3 +131,13 @@ def water(model: str = "TIP4P/2005") -> Molecule:
     masses = np.array([_OXYGEN, _HYDROGEN, _HYDROGEN, 0])
     oxygen = np.array([1.0, 0, 0, 0])
     return molecule(masses, at, charge * np.array([0, 1, 1, -2]), well * _CALORIE * oxygen, sizes=size * oxygen)
+
+
+def examples() -> dict[str, partial[Any]]:
+    """Calls of these functions with all their numbers."""
+    masses, points = np.array([2.0, 1.0, 1.5]), np.array([[0.1, 0.2, 0.0], [-0.1, 0.0, 0.1], [0.3, 0.0, 0.0]])
+    more = {"charges": np.array([0.3, -0.4, 0.1]), "wells": np.array([0.2, 0.7, 0.0]), "sizes": np.full(3, 0.3)}
+    return {
+        "molecule": partial(molecule, masses=masses, points=points, **more),
+        "water": partial(water, model="TIP4P/2005"),
+    }

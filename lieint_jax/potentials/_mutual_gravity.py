@@ -14,6 +14,7 @@ factors F_p(Γ_i, Γ_j, C) over r^p with p = 1, 5, 7, 9, and so are its derivati
 from __future__ import annotations
 
 from collections.abc import Sequence
+from functools import partial
 from typing import Any, NamedTuple
 
 import jax.numpy as jnp
@@ -23,7 +24,7 @@ from jax.typing import ArrayLike
 
 from lieint_jax import _checks
 from lieint_jax.potentials._potential import Potential
-from lieint_jax.shapes import Shape, trace_free
+from lieint_jax.shapes import Shape, box, ellipsoid, trace_free
 from lieint_jax.types import pytree, static
 
 __all__ = ["MutualGravity", "mutual_gravity"]
@@ -232,3 +233,9 @@ def _dot(a: Array, b: Array) -> Array:
 def _scale_each(numbers: Array, tensors: Array) -> Array:
     """Each of k tensors times its number."""
     return numbers.reshape(-1, *[1] * (tensors.ndim - 1)) * tensors
+
+
+def examples() -> dict[str, partial[Any]]:
+    """Calls of these functions with all their numbers."""
+    shapes = [box([0.3, 0.2, 0.1], mass=2.0), ellipsoid([0.2, 0.3, 0.1], mass=1.0)]
+    return {"mutual_gravity": partial(mutual_gravity, G=1.3, shapes=shapes, order=4)}

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from functools import reduce
+from functools import partial, reduce
 from typing import Any
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import Array
+from jax.tree_util import Partial
 from numpy.typing import ArrayLike
 
 from lieint_jax import _checks
@@ -127,3 +128,22 @@ def outer_field(
         raise ValueError(f"conserved must be rows (k, 6) of combinations of (P, L), got shape {rows.shape}")
     kept = jnp.linalg.pinv(rows) @ rows if len(rows) else jnp.zeros((6, 6), dtype)
     return OuterField(callable_pytree(phi), w, at, kept, groups)
+
+
+def _saddle(k: Array, x: Array) -> Array:
+    """A field, for the examples."""
+    return k * x[0] * x[1]
+
+
+def examples() -> dict[str, partial[Any]]:
+    """Calls of these functions with all their numbers."""
+    rows = [jnp.array([0.3, 0.4]), jnp.array([0.7])]
+    points = [jnp.array([[0.1, 0.2, 0.0], [-0.1, 0.0, 0.1]]), jnp.array([[0.0, 0.2, 0.1]])]
+    phi, field = Partial(_saddle, jnp.array(1.3)), jnp.array([0.3, -0.5, 0.7])
+    return {
+        "outer_field": partial(outer_field, phi=phi, weights=rows, points=points, conserved=None),
+        "outer_field along an axis": partial(
+            outer_field, phi=phi, weights=rows, points=points, conserved=jnp.array([[0, 0, 1.0, 0, 0, 0]])
+        ),
+        "uniform_field": partial(uniform_field, field=field, weights=rows, points=points),
+    }

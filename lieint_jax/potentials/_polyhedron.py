@@ -298,3 +298,12 @@ def _logarithm(a: Array, b: Array, ab: Array, square: Array, e: Array) -> Array:
     precision, between = jnp.finfo(a.dtype), ab < 0
     total = jnp.where(between, e * square * (e / jnp.where(between, a * b - ab, 1)), a * b + ab)
     return jnp.log1p(e * (a + b + e) / jnp.maximum(total, (precision.eps * e) ** 2 + precision.tiny))
+
+
+_TETRAHEDRON = np.array([[0, 2, 1], [0, 1, 3], [0, 3, 2], [1, 2, 3]])
+
+
+def examples() -> dict[str, partial[Any]]:
+    """Calls of these functions with all their numbers."""
+    corners = jnp.array([[0.0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1]])
+    return {"polyhedron": partial(polyhedron, G=1.3, mesh=(corners, _TETRAHEDRON), density=1.5)}

@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from functools import reduce
+from functools import partial, reduce
 from typing import Any
 
 import jax.numpy as jnp
 from jax import Array
+from jax.tree_util import Partial
 from jax.typing import ArrayLike
 
 from lieint_jax._numerics.discrete_gradient import discrete_gradient
@@ -228,3 +229,18 @@ def _terms(potential: Callable[[Array, Array], Array]) -> tuple[Callable[[Array,
             f"a potential is added to potentials and functions of positions and rotations, got {potential!r}"
         )
     return potential.terms if isinstance(potential, SumPotential) else (callable_pytree(potential),)
+
+
+def _attraction(k: Array, x: Array, R: Array) -> Array:
+    """A potential, for the examples."""
+    return k * jnp.sum((x[0] - x[1]) ** 2) + jnp.sum(R[0] * R[1])
+
+
+def examples() -> dict[str, partial[Any]]:
+    """Calls of these functions with all their numbers."""
+    R = jnp.stack([jnp.eye(3), jnp.eye(3)[jnp.array([1, 2, 0])]])
+    bodies = Partial(_attraction, jnp.array(1.3))
+    return {
+        "force": partial(force, potential=bodies, x=jnp.array([[0.0, 0.1, 0.2], [4.0, 1.0, -0.5]]), R=R),
+        "torques": partial(torques, R=R, along_R=R[::-1] + 0.1),
+    }

@@ -23,6 +23,7 @@ where an element turns further than about one axis: Σo = 2(1 − cos θ).
 from __future__ import annotations
 
 from functools import partial
+from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -207,3 +208,10 @@ def _natural(lengths: Array, curvature: Array) -> tuple[Array, Array]:
 def _product(A: Array, B: Array) -> Array:
     """A B of matrices (k, 3, 3)."""
     return jnp.sum(A[:, :, :, None] * B[:, None, :, :], axis=2)
+
+
+def examples() -> dict[str, partial[Any]]:
+    """Calls of these functions with all their numbers."""
+    pair, chain = (jnp.array([[1.3, 1.1, 2.0]]), jnp.array([[0.3, 0.4, 0.2]])), jnp.array([0.7])
+    curved = {"natural_curvature": jnp.array([[0.3, -0.5, 0.7]]), "energy": "fourth"}
+    return {"rod": partial(rod, lengths=chain, stretching=pair[0], bending=pair[1], **curved)}

@@ -8,6 +8,7 @@ sites form a group, so that few arrays without padding hold them.
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
+from functools import partial
 from typing import Any
 
 import jax.numpy as jnp
@@ -290,3 +291,16 @@ def site_positions(points: Array, bodies: tuple[int, ...], x: Positions, R: Rota
     if bodies != tuple(range(x.shape[0])):
         x, R = x[np.array(bodies)], R[np.array(bodies)]
     return x[:, None, :] + jnp.sum(R[:, None, :, :] * points[:, :, None, :], axis=3)
+
+
+def examples() -> dict[str, partial[Any]]:
+    """Calls of these functions with all their numbers."""
+    points = [jnp.array([[0.1, 0.2, 0.0], [-0.1, 0.0, 0.1]]), jnp.array([[0.0, 0.2, 0.1]])]
+    rows = [jnp.array([0.3, 0.4]), jnp.array([0.7])]
+    pair, wells = jnp.stack([points[0]] * 2), jnp.array([0.2, 0.7])
+    return {
+        "point_charges": partial(point_charges, constant=1.3, charges=rows, points=points, softening=0.1),
+        "point_masses": partial(point_masses, G=1.3, masses=rows, points=points, softening=0.1),
+        "lennard_jones": partial(lennard_jones, wells=rows, sizes=rows, points=points),
+        "sites": partial(sites, points=pair, charges=jnp.array([0.3, -0.4]), wells=wells, sizes=wells, constant=1.3),
+    }

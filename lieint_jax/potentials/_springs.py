@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import partial
 from typing import Any
 
 import jax.numpy as jnp
@@ -85,3 +86,9 @@ def _root(u: Array) -> Array:
 
 
 springs = Springs
+
+
+def examples() -> dict[str, partial[Any]]:
+    """Calls of these functions with all their numbers."""
+    points = jnp.array([[[0.1, 0.2, 0.0], [-0.1, 0.0, 0.1]]])
+    return {"springs": partial(springs, bodies=((0, 1),), points=points, stiffness=0.3, lengths=0.4)}

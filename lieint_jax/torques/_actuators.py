@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Sequence
+from functools import partial
 from typing import Any
 
 import jax.numpy as jnp
@@ -14,8 +15,9 @@ from numpy.typing import ArrayLike
 from lieint_jax import _checks
 from lieint_jax._checks import concrete, named, not_negative, positive
 from lieint_jax.groups import so3
-from lieint_jax.torques._arguments import VectorOfTime, cut, value_at, vector_of_time
+from lieint_jax.torques._arguments import VectorOfTime, cut, example_of_time, value_at, vector_of_time
 from lieint_jax.torques._body_axes import middle_axes
+from lieint_jax.torques._damping import Viscous
 from lieint_jax.torques._wheels import Motor, wheel_axes
 from lieint_jax.torques._window import mean_in_window, window
 from lieint_jax.types import Converted, Law, Rotation, argument, parts, pytree, static
@@ -222,3 +224,15 @@ def _magnetic_torque(torque: Array, B: Array, max_dipole: Array | None) -> Array
 
 
 torquers, wheel_motor = Torquers, WheelMotor
+
+
+def examples() -> dict[str, partial[Any]]:
+    """Calls of these functions with all their numbers."""
+    axes, control, field = wheel_pyramid(0.6), Viscous(0.3), example_of_time()
+    return {
+        "wheel_pyramid": partial(wheel_pyramid, tilt=0.6, wheels=4),
+        "allocation": partial(allocation, axes=axes),
+        "wheel_motor": partial(wheel_motor, axes=axes, control=control, gyroscopic=True, window=(0.72, 0.77)),
+        "torquers": partial(torquers, control=control, field=field, max_dipole=0.1),
+        "unloading": partial(unloading, axes=axes, gain=0.4, field=field, max_dipole=0.1, bias=0.05, key="wheels"),
+    }

@@ -9,6 +9,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import Array, lax
+from jax.tree_util import Partial
 from numpy.typing import ArrayLike
 
 from lieint_jax import _checks
@@ -82,3 +83,14 @@ def cut(vector: Array, limit: Array) -> Array:
     vector = jnp.asarray(vector)
     limit = jnp.broadcast_to(limit, vector.shape).astype(vector.dtype)
     return lax.clamp(-limit, vector, limit)
+
+
+def rotating(vector: Array, t: Array) -> Array:
+    """A vector that rotates about the third axis, for the examples."""
+    c, s = jnp.cos(t), jnp.sin(t)
+    return jnp.stack([c * vector[0] - s * vector[1], s * vector[0] + c * vector[1], vector[2]])
+
+
+def example_of_time(x: float = 0.1, y: float = 0.2, z: float = -0.9) -> Partial:
+    """A vector that depends on time, whose numbers are leaves."""
+    return Partial(rotating, jnp.array([x, y, z]))

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from functools import partial
+from typing import Any
 
 import jax.numpy as jnp
 from jax import Array
@@ -103,3 +104,12 @@ class PDQuaternion(_ProportionalDerivative):
 
 
 pd_trace, pd_quaternion = PDTrace, PDQuaternion
+
+
+def examples() -> dict[str, partial[Any]]:
+    """Calls of these functions with all their numbers."""
+    target = jnp.array([0.2, 0.4, -0.3, 0.8]) / jnp.sqrt(0.93)
+    return {
+        "pd_trace": partial(pd_trace, gain=0.3, damping=0.2, target=target),
+        "pd_quaternion": partial(pd_quaternion, gain=0.3, damping=0.2, target=target),
+    }

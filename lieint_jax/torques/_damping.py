@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from functools import partial
+from typing import Any
+
 import jax.numpy as jnp
 from jax import Array
 
@@ -96,3 +99,12 @@ def internal_friction(friction: Scalar, Pi: VectorLike, Omega: VectorLike) -> Ve
 
 
 viscous, kane_damper = Viscous, KaneDamper
+
+
+def examples() -> dict[str, partial[Any]]:
+    """Calls of these functions with all their numbers."""
+    return {
+        "viscous": partial(viscous, damping=jnp.array([1.3, 1.7, 2.2])),
+        "kane_damper": partial(kane_damper, inertia=0.3, damping=0.2, key="damper"),
+        "internal_friction": partial(internal_friction, friction=0.1, Pi=(0.6, -0.3, 0.5), Omega=(0.5, -0.3, 0.6)),
+    }

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import partial
 from typing import Any
 
 import jax
@@ -12,7 +13,15 @@ from numpy.typing import ArrayLike
 from lieint_jax import _checks
 from lieint_jax._checks import named, not_negative, positive
 from lieint_jax.groups import so3
-from lieint_jax.torques._arguments import VectorOfTime, cut, dissipative_tensor, tensor_of, value_at, vector_of_time
+from lieint_jax.torques._arguments import (
+    VectorOfTime,
+    cut,
+    dissipative_tensor,
+    example_of_time,
+    tensor_of,
+    value_at,
+    vector_of_time,
+)
 from lieint_jax.torques._body_axes import end_axes, mean_axes, middle_axes, start_axes
 from lieint_jax.types import Converted, Law, Rotation, argument, pytree, static
 from lieint_jax.types.shapes import PyTree
@@ -223,3 +232,16 @@ class Hysteresis(Law):
 
 
 eddy_current, hysteresis = EddyCurrent, Hysteresis
+
+
+def examples() -> dict[str, partial[Any]]:
+    """Calls of these functions with all their numbers."""
+    field, rate = example_of_time(), example_of_time(0.3, -0.5, 0.7)
+    rod = {"axis": jnp.array([0.6, 0.8, 0.0]), "saturation": 0.3, "slope": 0.2, "coercivity": 0.1}
+    return {
+        "bdot": partial(bdot, gain=0.4, field=field, max_dipole=None),
+        "bdot with a limit": partial(bdot, gain=0.4, field=field, max_dipole=jnp.array([0.1, 0.2, 0.3])),
+        "eddy_current": partial(eddy_current, tensor=jnp.array([1.3, 1.7, 2.2]), field=field, rate=rate),
+        "eddy_current in a slow field": partial(eddy_current, tensor=0.4, field=field, rate=None),
+        "hysteresis": partial(hysteresis, **rod, field=field, key="rod"),
+    }

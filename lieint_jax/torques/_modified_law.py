@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+from functools import partial
 from typing import Any
 
+import jax.numpy as jnp
 from jax import Array
 from numpy.typing import ArrayLike
 
 from lieint_jax._checks import named, positive
 from lieint_jax.torques._arguments import cut
+from lieint_jax.torques._damping import Viscous
 from lieint_jax.torques._window import mean_in_window, window
 from lieint_jax.types import Converted, Law, LawSum, Rotation, argument, as_law, pytree
 from lieint_jax.types.shapes import PyTree
@@ -125,3 +128,12 @@ def windowed(law: Law, start: ArrayLike, stop: ArrayLike | None = None) -> Windo
 
 
 saturated = Saturated
+
+
+def examples() -> dict[str, partial[Any]]:
+    """Calls of these functions with all their numbers."""
+    law = Viscous(0.4)
+    return {
+        "saturated": partial(saturated, law=law, limit=jnp.array([0.1, 0.2, 0.3])),
+        "windowed": partial(windowed, law=law, start=0.72, stop=0.77),
+    }

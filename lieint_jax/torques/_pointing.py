@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+from functools import partial
 from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
 from jax import Array
+from jax.tree_util import Partial
 from numpy.typing import ArrayLike
 
 from lieint_jax import _checks
@@ -192,3 +194,18 @@ def sliding_mode(
         positive("rate", rate, (), (3,)),
         positive("layer", layer),
     )
+
+
+def _rotating_frame(velocity: Array, t: Array) -> Array:
+    """A frame that rotates about a fixed axis, for the examples."""
+    return so3.exp(velocity * t)
+
+
+def examples() -> dict[str, partial[Any]]:
+    """Calls of these functions with all their numbers."""
+    J, offset = jnp.array([1.3, 1.7, 2.2]), jnp.array([0.8, -0.3, 0.4, 0.2]) / jnp.sqrt(0.93)
+    frame = Partial(_rotating_frame, jnp.array([0.3, -0.5, 0.7]))
+    return {
+        "pointing": partial(pointing, frame=frame, gain=0.3, damping=0.2, inertia=J, offset=offset),
+        "sliding_mode": partial(sliding_mode, frame=frame, inertia=J, slope=0.7, rate=0.2, layer=0.4, offset=offset),
+    }

@@ -9,12 +9,13 @@ from typing import Any
 
 import jax.numpy as jnp
 from jax import Array
+from jax.tree_util import Partial
 
 from lieint_jax import _checks
 from lieint_jax._checks import named
 from lieint_jax._numerics.discrete_gradient import discrete_gradient
 from lieint_jax.groups import so3
-from lieint_jax.torques._arguments import VectorOfTime, evaluate, value_at, vector_of_time
+from lieint_jax.torques._arguments import VectorOfTime, evaluate, example_of_time, value_at, vector_of_time
 from lieint_jax.torques._body_axes import end_axes, start_axes
 from lieint_jax.types import Converted, Law, Rotation, argument, callable_pytree, pytree, vectors
 from lieint_jax.types.shapes import PyTree
@@ -179,3 +180,25 @@ def potential(V: Callable[..., Array], axis: Any) -> AnyPotential:
 
 
 dipole, gravity_gradient = Dipole, GravityGradient
+
+
+def _circle(r: Array, t: Array) -> tuple[Array, Array]:
+    """An orbit, for the examples."""
+    c, s = jnp.cos(t), jnp.sin(t)
+    return r * jnp.stack([c, s, 0 * t]), r * jnp.stack([-s, c, 0 * t])
+
+
+def _energy_of_axis(k: Array, Gamma: Array, t: Array) -> Array:
+    """A potential, for the examples."""
+    return k * Gamma[0] * Gamma[1] * jnp.cos(t)
+
+
+def examples() -> dict[str, partial[Any]]:
+    """Calls of these functions with all their numbers."""
+    axis = example_of_time()
+    orbit, V = Partial(_circle, jnp.array(1.2)), Partial(_energy_of_axis, jnp.array(0.7))
+    return {
+        "dipole": partial(dipole, moment=jnp.array([0.3, -0.5, 0.7]), field=axis),
+        "gravity_gradient": partial(gravity_gradient, orbit=orbit, inertia=jnp.array([1.3, 1.7, 2.2]), mu=1.3),
+        "potential": partial(potential, V=V, axis=axis),
+    }

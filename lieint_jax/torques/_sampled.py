@@ -2,11 +2,15 @@
 
 from __future__ import annotations
 
+from functools import partial
+from typing import Any
+
 from jax import Array
 from jax.typing import ArrayLike
 
 from lieint_jax._checks import named, positive
 from lieint_jax.torques._actuators import control_laws, control_torque
+from lieint_jax.torques._damping import Viscous
 from lieint_jax.torques._hold import held_in_step, why_not
 from lieint_jax.types import Converted, Law, Rotation, argument, pytree, static
 from lieint_jax.types.shapes import PyTree
@@ -76,3 +80,8 @@ class Sampled(Law):
 
 
 sampled = Sampled
+
+
+def examples() -> dict[str, partial[Any]]:
+    """Calls of these functions with all their numbers."""
+    return {"sampled": partial(sampled, law=Viscous(0.4), period=0.2, key="sampled")}

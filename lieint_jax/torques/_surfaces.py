@@ -4,16 +4,18 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Callable
+from functools import partial
 from typing import Any
 
 import jax.numpy as jnp
 import numpy as np
 from jax import Array
+from jax.tree_util import Partial
 from numpy.typing import ArrayLike
 
 from lieint_jax import _checks
 from lieint_jax._checks import concrete, for_each, named, not_negative, positive, real_array
-from lieint_jax.torques._arguments import VectorOfTime, direction_at, direction_of_time, evaluate
+from lieint_jax.torques._arguments import VectorOfTime, direction_at, direction_of_time, evaluate, example_of_time
 from lieint_jax.torques._body_axes import middle_axes
 from lieint_jax.types import Converted, Law, Rotation, argument, callable_pytree, pytree
 from lieint_jax.types.shapes import PyTree
@@ -228,3 +230,24 @@ def _check_parts(specular: Array, diffuse: Array) -> None:
 
 
 solar_plate, solar_plates, aerodynamic = SolarPlate, SolarPlates, Aerodynamic
+
+
+def _wind(numbers: Array, t: Array) -> tuple[Array, Array]:
+    """A density and a velocity of air, for the examples."""
+    return numbers[0] * (2 + jnp.cos(t)), numbers[1:]
+
+
+def examples() -> dict[str, partial[Any]]:
+    """Calls of these functions with all their numbers."""
+    sizes, center = jnp.array([1.0, 0.5, 0.4]), jnp.array([0.05, -0.1, 0.08])
+    areas, normals, arms = box_plates(sizes, center)
+    sun, faces = example_of_time(0.3, -0.5, 0.7), {"normals": normals, "arms": arms}
+    air = Partial(_wind, jnp.array([0.3, 7.1, -0.4, 0.2]))
+    plate = {"normal": jnp.array([0.6, 0.8, 0.0]), "arm": jnp.array([0.3, -0.5, 0.7])}
+    more = {"specular": 0.3, "diffuse": 0.2}
+    return {
+        "box_plates": partial(box_plates, sizes=sizes, center=center),
+        "aerodynamic": partial(aerodynamic, air=air, areas=areas, **faces, drag=2.2),
+        "solar_plate": partial(solar_plate, force=0.4, **plate, sun=example_of_time(0.6, 0.8, 0.1), **more),
+        "solar_plates": partial(solar_plates, force=areas, **faces, sun=sun, light=Partial(jnp.multiply, 0.4), **more),
+    }

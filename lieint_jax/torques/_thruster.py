@@ -2,6 +2,10 @@
 
 from __future__ import annotations
 
+from functools import partial
+from typing import Any
+
+import jax.numpy as jnp
 from jax import Array
 from numpy.typing import ArrayLike
 
@@ -41,3 +45,8 @@ def thruster(torque: ArrayLike, start: ArrayLike, stop: ArrayLike) -> Thruster:
         ValueError: stop < start, a torque that is no vector.
     """
     return Thruster(_checks.real_array("torque", torque, (3,)), *window("a pulse", start, stop))
+
+
+def examples() -> dict[str, partial[Any]]:
+    """Calls of these functions with all their numbers."""
+    return {"thruster": partial(thruster, torque=jnp.array([0.3, -0.5, 0.7]), start=0.72, stop=0.77)}

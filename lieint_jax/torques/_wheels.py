@@ -5,6 +5,8 @@ from __future__ import annotations
 import abc
 import dataclasses
 from collections.abc import Callable
+from functools import partial
+from typing import Any
 
 import jax.numpy as jnp
 from jax import Array
@@ -205,3 +207,21 @@ def body_inertia(locked: ArrayLike, axes: ArrayLike, inertias: ArrayLike) -> Arr
 
 
 wheels = Wheels
+
+
+def _braking(gain: Array, t: Array, q: Array, Omega: Array, h: Array) -> Array:
+    """Motors, for the examples."""
+    return -gain * h
+
+
+def examples() -> dict[str, partial[Any]]:
+    """Calls of these functions with all their numbers."""
+    axes = jnp.array([[1.0, 0.0, 0.0], [0.0, 0.6, 0.8]])
+    motor, limits = Partial(_braking, jnp.array(0.4)), {"max_torque": 0.1, "max_momentum": 0.5}
+    inertias = jnp.array([0.05, 0.07])
+    given = {"axes": axes, "inertias": inertias, "motor": motor, **limits, "speeds": 1.0}
+    return {
+        "body_inertia": partial(body_inertia, locked=jnp.array([1.3, 1.7, 2.2]), axes=axes, inertias=inertias),
+        "wheels": partial(wheels, **given, period=None),
+        "wheels of a digital controller": partial(wheels, **given, period=0.2),
+    }

@@ -230,7 +230,7 @@ def test_the_row_of_urdf():
 
 @pytest.mark.parametrize("dtype", ["float32", "float64"])
 def test_modified_rodrigues_parameters_of_any_length_are_an_attitude(dtype):
-    """Those of the shadow set, −σ/|σ|², are −q: so q = −(1, −2σ/|σ|²) to rounding where |σ| is huge; derivatives too."""
+    """q = (1 − |σ|², 2σ)/(1 + |σ|²), which tends to −1 where the square overflows; with finite derivatives."""
     e, most = np.array([0.6, 0.0, 0.8]), float(np.finfo(dtype).max)
     lengths = np.array([1.0, 1e3, most**0.5 / 2, most**0.5 * 2, most**0.75, most / 1.01])
     found = attitude.from_mrp((lengths[:, None] * e).astype(dtype))
