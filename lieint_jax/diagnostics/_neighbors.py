@@ -6,6 +6,7 @@ import jax
 import jax.numpy as jnp
 from jax import Array, lax
 
+from lieint_jax._checks import all_plain
 from lieint_jax.diagnostics._order import flow
 from lieint_jax.types import State, Step, System
 from lieint_jax.types.tangent import orthonormalize, units_at_start, value_and_jacobian
@@ -27,6 +28,7 @@ def exponents_of_flow(system: System, state: State, t: float, pieces: int) -> Ar
     Returns:
         (2d,), in the order of the coordinates of the phase space, 1/time.
     """
+    all_plain(t=t)
     space = system.phase_space
     unit = units_at_start(system, state)[:, None]
 
@@ -55,6 +57,7 @@ def exponent_of_neighbors(
 
     Source: Benettin, Galgani & Strelcyn 1976, Phys. Rev. A 14, 2338.
     """
+    all_plain(dt=dt, distance=distance)
     space = step.system.phase_space
     unit = units_at_start(step.system, state)
 

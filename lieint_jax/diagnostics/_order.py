@@ -11,7 +11,7 @@ from jax import Array, lax
 from jax.flatten_util import ravel_pytree
 from jax.typing import ArrayLike
 
-from lieint_jax._checks import as_array, concrete
+from lieint_jax._checks import as_array, concrete, plain
 from lieint_jax._numerics import collocation
 from lieint_jax._xla import compiled
 from lieint_jax.diagnostics import _measure
@@ -36,7 +36,7 @@ def flow(system: System, state: State, t: ArrayLike, num_steps: int) -> State:
 
     Source: Hairer, Lubich & Wanner, Geometric Numerical Integration, II.1.3.
     """
-    return _flow(system, state, t, num_steps)
+    return _flow(system, state, plain("t", t), num_steps)
 
 
 @partial(compiled, static_argnums=3)

@@ -16,22 +16,33 @@ import pytest
 from cubes import CUBE, FACES
 
 import lieint_jax as li
-from lieint_jax import attitude, diagnostics, elliptic, fitting, groups, measure, orbits, schemes, shapes, systems, tides
+from lieint_jax import (
+    attitude,
+    diagnostics,
+    elliptic,
+    fitting,
+    groups,
+    measure,
+    orbits,
+    schemes,
+    shapes,
+    systems,
+    tides,
+)
 
-NUMBERS = re.compile(r"ArrayLike|\bArray\b|ndarray|Attitude|Directions|\bfloat\b|Scalar|Vector|Positions|Rotations|\bTime\b")
+NUMBERS = re.compile(
+    r"ArrayLike|\bArray\b|ndarray|Attitude|Directions|\bfloat\b|Scalar|Vector|Positions|Rotations|\bTime\b"
+)
 MODULES = (attitude, diagnostics, elliptic, fitting, groups, measure, *calls.ROOMS, schemes, shapes, systems, tides)
-TOP_LEVEL = ("integrate", "event", "interpolate", "fit", "run", "lyapunov")
-OF_RESULTS = {  # their numbers are those of states, runs, systems and functions, or are computed inside of jit
-    "diagnostics.delay",
-    "diagnostics.is_conserved",
-    "fitting.covariance",
-    "systems.clebsch_integral",
-    "systems.kovalevskaya_integral",
+TOP_LEVEL = ("integrate", "event", "interpolate", "run", "transition", "reversible", "observe")
+OPTIONS = {"order", "tolerance"}  # numbers that choose among methods, or bound an error
+NO_NUMBERS = {  # whose numbers are options, or those of functions and states
+    "elliptic.E",
+    "elliptic.Pi",
     "potentials.at_time",
     "potentials.given_poses",
-    "potentials.symmetry",
-    "torques.internal_friction",
-    "maps.kappa_cayley",
+    "shapes.obj",
+    "systems.clebsch_integral",
 }
 
 
@@ -110,8 +121,8 @@ def attracting():
     return systems.rigid_bodies(np.array([1.0, 0.5]), np.stack([J, J]), both)
 
 
-def hanging():
-    return pendulum().state([0.0, 0, -1], velocity=np.zeros(3))
+def spinning():
+    return body().state(angular_velocity=[0, 0, 1.0])
 
 
 def potential(x, R):
@@ -132,9 +143,6 @@ CALLS = {
     "li.run to given times": lambda: dict(step=step(), states=state(), dt=0.1, num_steps=2, save_at=T[:1]),
     "li.event": lambda: dict(step=step(), state=state(), dt=0.1, condition=lambda z: z.p[0], max_steps=3),
     "li.interpolate": lambda: dict(system=body(), trajectory=li.integrate(step(), state(), 0.05, 4), times=T[:1]),
-    "li.fit": lambda: dict(loss=lambda p: p - 1, params=np.array([0.0, 0.3]), tolerance=1e-8, target=None),
-    "li.equilibrium": lambda: dict(system=pendulum(), guess=hanging(), frame=np.zeros(3)),
-    "li.normal_modes": lambda: dict(system=pendulum(), state=hanging(), frame=np.zeros(3)),
     "li.transition": lambda: dict(step=step(), state=state(), dt=0.1, num_steps=2),
     "li.reversible": lambda: dict(step=step(), state=state(), dt=0.1, num_steps=2, tolerance=1e-6),
     "li.observe": lambda: dict(step=step(), state=state(), dt=0.1, times=T[1:2], tolerance=1e-6),
@@ -147,8 +155,8 @@ CALLS = {
     "attitude.to_rotvec": dict(q=Q),
     "diagnostics.certify": lambda: dict(step=step(), state=state(), dt=0.1, num_steps=4),
     "diagnostics.conditions": lambda: dict(step=step(), state=state(), dt=0.1),
-    "diagnostics.equilibrium": lambda: dict(system=pendulum(), guess=hanging(), frame=np.zeros(3)),
-    "diagnostics.normal_modes": lambda: dict(system=pendulum(), state=hanging(), frame=np.zeros(3)),
+    "diagnostics.equilibrium": lambda: dict(system=body(), guess=spinning(), frame=np.array([0, 0, 1.0])),
+    "diagnostics.normal_modes": lambda: dict(system=body(), state=spinning(), frame=np.array([0, 0, 1.0])),
     "diagnostics.exponent_of_neighbors": lambda: dict(step=step(), state=state(), dt=0.1, num_steps=40, distance=1e-8),
     "diagnostics.exponents_of_flow": lambda: dict(system=body(), state=state(), t=1.0, pieces=2),
     "diagnostics.flow": lambda: dict(system=body(), state=state(), t=1.0, num_steps=2),
@@ -156,8 +164,11 @@ CALLS = {
     "diagnostics.megno": lambda: dict(step=step(), state=state(), dt=0.1, num_steps=4, vector=np.eye(6)[0]),
     **{
         f"diagnostics.{name}": lambda: dict(step=step(), state=state(), dt=0.1)
-        for name in ("linearization", "local_error", "modified_energy", "order", "reversibility", "step_cost")
+        for name in ("linearization", "local_error", "order", "reversibility", "step_cost")
     },
+    "diagnostics.modified_energy": lambda: dict(
+        step=schemes.splitting(pendulum()), state=pendulum().state([0.0, 0, -1], velocity=np.zeros(3)), dt=0.1
+    ),
     "diagnostics.symplectic_defect": lambda: dict(step=step(), state=state(), dt=0.1),
     "diagnostics.poisson_error": lambda: dict(step=step(), state=state(), dt=0.1, num_steps=2),
     "diagnostics.section": lambda: dict(
@@ -174,7 +185,7 @@ CALLS = {
     "elliptic.F": dict(phi=0.3, m=0.4),
     "elliptic.K": dict(m=0.4),
     **{f"elliptic.{name}": dict(u=0.3, m=0.4) for name in ("sn", "cn", "dn")},
-    "fitting.fit": lambda: dict(loss=lambda p: p - 1, params=np.array([0.0, 0.3]), tolerance=1e-8, target=None),
+    "fitting.fit": lambda: dict(loss=lambda p: p - 1, params=np.array([0.0, 0.3]), tolerance=1e-8),
     "fitting.interval": dict(low=0.1, high=0.4),
     "fitting.student_t": dict(errors=np.ones((2, 3)), noise=0.3, least=0.1, freedom=4.0),
     "fitting.student_t_weights": dict(errors=np.ones((2, 3)), noise=0.3, freedom=4.0),
@@ -287,10 +298,7 @@ CALLS = {
 }
 
 
-def all_calls():
-    """The function, all its arguments and the names of those that take numbers, by name."""
-    functions = {f"li.{name}": getattr(li, name) for name in TOP_LEVEL} | dict(calls.public_functions(*MODULES))
-    return functions
+FUNCTIONS = {f"li.{name}": getattr(li, name) for name in TOP_LEVEL} | dict(calls.public_functions(*MODULES))
 
 
 def wanted(function):
@@ -298,5 +306,98 @@ def wanted(function):
     return {
         name
         for name, x in inspect.signature(function).parameters.items()
-        if NUMBERS.search(str(x.annotation)) and "Callable" not in str(x.annotation)
+        if NUMBERS.search(str(x.annotation)) and "Callable" not in str(x.annotation) and name not in OPTIONS
     }
+
+
+def is_numbers(value):
+    """Whether an argument is one number, an array, or a list of these."""
+    if isinstance(value, list | tuple):
+        return bool(value) and all(map(is_numbers, value))
+    return calls.is_number(value)
+
+
+def spoiled(value, spoil):
+    """An argument whose first array is spoiled."""
+    if isinstance(value, list | tuple):
+        return [spoiled(value[0], spoil), *value[1:]]
+    return spoil(value)
+
+
+@functools.cache
+def call(name):
+    """The function of a call and its arguments."""
+    if name not in CALLS:
+        made = calls.examples()[name]
+        return made.func, made.keywords
+    given = CALLS[name]
+    return FUNCTIONS[name.split()[0]], given() if callable(given) else given
+
+
+@pytest.mark.parametrize("name", [*CALLS, *calls.examples()])
+def test_masks_and_units_are_refused_by_the_name_of_the_argument(name):
+    function, arguments = call(name)
+    for argument in arguments:
+        if not is_numbers(arguments[argument]) or argument in OPTIONS:
+            continue
+        for kind, (spoil, message) in KINDS.items():
+            bad = arguments | {argument: spoiled(arguments[argument], spoil)}
+            with pytest.raises(ValueError, match=message) as error:
+                function(**bad)
+            assert re.match(rf"(the )?{argument}", str(error.value)), (argument, kind, error.value)
+
+
+def test_every_argument_that_takes_numbers_is_tried():
+    tried = {name.split()[0]: set() for name in (*CALLS, *calls.examples())}
+    for name in (*CALLS, *calls.examples()):
+        arguments = call(name)[1]
+        tried[name.split()[0]] |= {key for key, x in arguments.items() if is_numbers(x)}
+    for name, function in FUNCTIONS.items():
+        if name not in NO_NUMBERS:
+            assert wanted(function) <= tried.get(name, set()), name
+
+
+@pytest.mark.parametrize("part", ["q", "p", "t"])
+@pytest.mark.parametrize("kind", KINDS)
+def test_masks_and_units_in_a_state_are_refused(part, kind):
+    spoil, message = KINDS[kind]
+    good = state()._replace(t=jnp.array(0.5))
+    bad = good._replace(**{part: spoil(getattr(good, part))})
+    many = jax.tree.map(lambda x: np.stack([x, x]), good)
+    batch = many._replace(**{part: spoil(getattr(many, part))})
+    for states in (bad, batch):
+        with pytest.raises(ValueError, match=rf"states?\.{part}.* {message}"):
+            li.run(step(), states, 0.1, 2)
+    with pytest.raises(ValueError, match=rf"state\.{part}.* {message}"):
+        li.integrate(step(), bad, 0.1, 2)
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_masks_and_units_are_refused_by_methods(kind, tmp_path):
+    spoil, message = KINDS[kind]
+    times, attitudes = T[:2], np.stack([Q, Q])
+    meta = dict(epoch="2026-01-01 UTC", object="A")
+    for call in (
+        lambda: run().at(spoil(T[:3])),
+        lambda: body().state(angular_velocity=spoil(W)),
+        lambda: body().state(attitude=spoil(Q), angular_velocity=W),
+        lambda: li.dates.epoch("2026-01-01 UTC").datetimes(spoil(T)),
+        lambda: li.files.write_aem(tmp_path / "a.aem", (spoil(times), attitudes), **meta),
+        lambda: li.files.write_aem(tmp_path / "a.aem", (times, spoil(attitudes)), **meta),
+        lambda: li.files.write_oem(
+            tmp_path / "a.oem", kepler_orbit(), times=spoil(times), frame="GCRF", center="EARTH", **meta
+        ),
+        lambda: systems.rigid_body([spoil(1.0), 2.0, 2.5]),
+    ):
+        with pytest.raises(ValueError, match=message):
+            call()
+
+
+def test_an_array_without_a_set_mask_and_columns_of_tables_are_numbers():
+    pandas, xarray = pytest.importorskip("pandas"), pytest.importorskip("xarray")
+    for same in (np.ma.array(J), pandas.Series(J), xarray.DataArray(J)):
+        np.testing.assert_array_equal(systems.rigid_body(same).inertia, J)
+    for same in (np.ma.array(X), pandas.Series(X), xarray.DataArray(X)):
+        assert measure.mean_rate(T, same) == measure.mean_rate(T, X)
+    with pytest.raises(ValueError, match="inertia must be plain numbers, got DataArray with the unit 'kg m2'"):
+        systems.rigid_body(xarray.DataArray(J, attrs={"units": "kg m2"}))
