@@ -11,7 +11,7 @@ from jax import Array
 from numpy.typing import ArrayLike
 
 from lieint_jax import _checks
-from lieint_jax._checks import host_array
+from lieint_jax._checks import host_array, plain
 from lieint_jax.groups import so3
 from lieint_jax.measure._states import count_bodies, series_of
 from lieint_jax.runs import Run
@@ -79,7 +79,7 @@ def pair_density(r: ArrayLike, edges: ArrayLike, peak_below: float = np.inf) -> 
 
     Source: Allen & Tildesley 2017, Computer Simulation of Liquids, 8.2.
     """
-    r, edges = host_array("r", r), host_array("edges", edges, float)
+    r, edges, peak_below = host_array("r", r), host_array("edges", edges, float), plain("peak_below", peak_below)
     if edges.ndim != 1 or len(edges) < 4 or not edges[0] > 0:
         raise ValueError(f"edges must be positive, (bins + 1,), of at least three bins, got {edges}")
     widths = np.diff(edges)

@@ -9,6 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 from jax import Array
 
+from lieint_jax._checks import plain
 from lieint_jax.measure._states import angles, principal_axes, rotation, series_of, system_of
 from lieint_jax.runs import Run
 from lieint_jax.types import State, Step, clock, vectors
@@ -42,7 +43,7 @@ def orbit_axes(orbit: Callable[[Array], tuple[Array, Array]], t: Time) -> tuple[
         The matrix with the columns outward, along the motion and along the normal, (3, 3), and its angular velocity in
         space, (3,).
     """
-    position, velocity = orbit(t)
+    position, velocity = orbit(plain("t", t))
     normal = jnp.stack(vectors.cross(position, velocity))
     r, z = (x / vectors.norm(x) for x in (position, normal))
     return jnp.stack([r, jnp.stack(vectors.cross(z, r)), z], axis=1), normal / vectors.dot(position, position)

@@ -53,8 +53,9 @@ def days_since_j2000(date: ArrayLike | Epoch | str, universal: bool = True) -> A
         date: as in `li.dates.epoch`, or an array of Julian dates, which can be traced.
         universal: refuse a date that is not in UTC or UT1.
     """
+    date = plain("date", date)
     if isinstance(date, np.ndarray | np.generic | Array | list | tuple) and not isinstance(date, float):
-        return jnp.asarray(plain("date", date)) - J2000
+        return jnp.asarray(date) - J2000
     found = epoch(date)  # pyright: ignore[reportArgumentType]  # which refuses what is no date
     return (found if found.scale == "UT1" or not universal else found.to("UTC")).julian_date - J2000
 

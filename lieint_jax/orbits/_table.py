@@ -12,7 +12,7 @@ from jax import Array, lax
 from jax.typing import ArrayLike
 
 from lieint_jax import _checks
-from lieint_jax._checks import concrete
+from lieint_jax._checks import concrete, plain
 from lieint_jax._numerics.lookup import increasing_times, interval
 from lieint_jax.types import pytree
 
@@ -166,7 +166,7 @@ def vector_table(times: Any, values: Any) -> VectorTable:
         >>> field(2.0).tolist()
         [4.0, 1.0, 0.0]
     """
-    found = _entries(times, values, jnp.zeros_like(jnp.asarray(values)))
+    found = _entries(times, values, jnp.zeros_like(jnp.asarray(plain("values", values))))
     if len(found.times) < 3:
         raise ValueError(f"times must have at least 3 entries, got {len(found.times)}")
     return VectorTable(Table(found.times, _flat(found.positions, _slopes(found.times, found.positions))))

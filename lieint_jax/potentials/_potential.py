@@ -11,6 +11,7 @@ from jax import Array
 from jax.tree_util import Partial
 from jax.typing import ArrayLike
 
+from lieint_jax._checks import all_plain
 from lieint_jax._numerics.discrete_gradient import discrete_gradient
 from lieint_jax.types import Partitioned, State, autodiff_gradient, callable_pytree, clock, pytree
 from lieint_jax.types.shapes import PoseMomenta, Positions, Rotations, Scalar
@@ -201,12 +202,14 @@ def given_poses(potential: Callable[[Array, Array], Array], state: State, late: 
 
 def torques(R: Rotations, along_R: Rotations) -> Positions:
     """−∂V(exp(δ̂)R)/∂δ at δ = 0 of each body, (N, 3), where ∂V/∂R is `along_R`, both (N, 3, 3)."""
+    all_plain(R=R, along_R=along_R)
     turned = [[jnp.sum(along_R[:, i] * R[:, j], axis=1) for j in range(3)] for i in range(3)]
     return jnp.stack([turned[j][i] - turned[i][j] for i, j in ((2, 1), (0, 2), (1, 0))], axis=1)
 
 
 def force(potential: Callable[[Array, Array], Array], x: Positions, R: Rotations) -> PoseMomenta:
     """The forces −∂V/∂x and the torques −∂V(exp(δ̂)R)/∂δ in space, (N, 6): in closed form, or by autodiff of V."""
+    all_plain(x=x, R=R)
     return as_potential(potential).force(x, R)
 
 

@@ -8,7 +8,7 @@ from typing import Any
 import jax.numpy as jnp
 from jax import Array
 
-from lieint_jax._checks import named, not_negative, positive
+from lieint_jax._checks import all_plain, named, not_negative, positive
 from lieint_jax.torques._arguments import dissipative_tensor, tensor_of
 from lieint_jax.types import Converted, Law, Rotation, argument, pytree, static
 from lieint_jax.types.shapes import PyTree
@@ -95,6 +95,7 @@ def internal_friction(friction: Scalar, Pi: VectorLike, Omega: VectorLike) -> Ve
 
     Source: Bloch, Krishnaprasad, Marsden & Ratiu 1996, Commun. Math. Phys. 175.
     """
+    all_plain(friction=friction, Pi=Pi, Omega=Omega)
     return friction * cross(Pi, Omega)
 
 

@@ -166,7 +166,7 @@ class Wheels(Law):
         """
         if self.motor is None:
             return jnp.zeros_like(h), h
-        torque = self._mean_torque(rotation, (h + end) / 2)
+        torque = self._mean_torque(self.motor, rotation, (h + end) / 2)
         after = h + rotation.dt * torque
         if self.max_momentum is None:
             return torque, after
@@ -176,11 +176,11 @@ class Wheels(Law):
         at_once = jnp.where(blocked, 0, torque)
         return jnp.where(moves, (after - h) / jnp.where(moves, rotation.dt, 1), at_once), after
 
-    def _mean_torque(self, rotation: Rotation, h: Array) -> Array:
+    def _mean_torque(self, motor: Callable[..., Array], rotation: Rotation, h: Array) -> Array:
         """The mean torque of the motors in a step, at these momenta, within their limit, (m,)."""
-        if isinstance(self.motor, Motor):
-            return self.motor.mean(rotation, h, self.max_torque)
-        torque = jnp.asarray(self.motor(rotation.t, rotation.q_mid, rotation.Omega, h))
+        if isinstance(motor, Motor):
+            return motor.mean(rotation, h, self.max_torque)
+        torque = jnp.asarray(motor(rotation.t, rotation.q_mid, rotation.Omega, h))
         return torque if self.max_torque is None else cut(torque, self.max_torque)
 
 
@@ -202,7 +202,8 @@ def body_inertia(locked: ArrayLike, axes: ArrayLike, inertias: ArrayLike) -> Arr
     J = _checks.inertia(locked)
     g = wheel_axes(axes)
     J = jnp.diag(J) if J.ndim == 1 else J
-    rest = J - jnp.einsum("j,ji,jk->ik", jnp.broadcast_to(jnp.asarray(inertias, J.dtype), g.shape[:1]), g, g)
+    moments = for_each(real_array, "inertias", inertias, len(g)).astype(J.dtype)
+    rest = J - jnp.einsum("j,ji,jk->ik", moments, g, g)
     return _checks.inertia(rest) if concrete(rest) else rest
 
 
