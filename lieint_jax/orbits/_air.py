@@ -19,6 +19,7 @@ from lieint_jax.orbits._kepler import Kepler, kepler
 from lieint_jax.orbits._secular import SecularJ2
 from lieint_jax.orbits._table import Table
 from lieint_jax.types import Converted, argument, callable_pytree, pytree
+from lieint_jax.types.shapes import Calls
 from lieint_jax.types.vectors import cross, norm
 
 __all__ = ["Air", "atmosphere"]
@@ -113,7 +114,7 @@ def _lowest(orbit: Any) -> float | None:
 atmosphere = Air
 
 
-def examples() -> dict[str, partial[Any]]:
+def examples() -> Calls:
     """Calls of these functions with all their numbers."""
     air = {"density": 0.3, "scale_height": 0.1, "height": 0.1, "radius": 0.8, "rate": 0.06}
     return {"atmosphere": partial(atmosphere, orbit=kepler(1.3, 1.2, 0.1, 0.7), **air)}

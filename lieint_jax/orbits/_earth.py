@@ -13,6 +13,7 @@ from jax.typing import ArrayLike
 
 from lieint_jax._checks import plain
 from lieint_jax.dates import Epoch, epoch
+from lieint_jax.types.shapes import Calls
 
 __all__ = ["EARTH_GM", "EARTH_J2", "EARTH_RADIUS", "EARTH_RATE", "J2000", "earth_rotation_angle", "julian_date"]
 
@@ -77,7 +78,7 @@ def earth_rotation_angle(date: ArrayLike | Epoch | str) -> Array:
     return jnp.asarray(2 * jnp.pi * (turns % 1))
 
 
-def examples() -> dict[str, partial[Any]]:
+def examples() -> Calls:
     """Calls of these functions with all their numbers."""
     return {
         "earth_rotation_angle": partial(earth_rotation_angle, date=jnp.array(2451545.3)),

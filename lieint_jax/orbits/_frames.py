@@ -15,6 +15,7 @@ from lieint_jax.groups import so3
 from lieint_jax.orbits._from_state import KeplerFromState
 from lieint_jax.orbits._kepler import Kepler, kepler
 from lieint_jax.types import Converted, argument, callable_pytree, pytree
+from lieint_jax.types.shapes import Calls
 from lieint_jax.types.vectors import cross, dot, norm
 
 __all__ = ["LocalFrame", "lvlh"]
@@ -68,6 +69,6 @@ class LocalFrame:
 lvlh = LocalFrame
 
 
-def examples() -> dict[str, partial[Any]]:
+def examples() -> Calls:
     """Calls of these functions with all their numbers."""
     return {"lvlh": partial(lvlh, orbit=kepler(1.3, 1.2, 0.1, 0.7))}

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from functools import partial
-from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -15,6 +14,7 @@ from lieint_jax._checks import concrete, named, real_array
 from lieint_jax.orbits._anomaly import elliptic_anomaly, hyperbolic_anomaly, less_sine, sinh_less, slope
 from lieint_jax.orbits._kepler import Kepler
 from lieint_jax.types import Converted, argument, pytree
+from lieint_jax.types.shapes import Calls
 from lieint_jax.types.vectors import cross, dot, norm
 
 __all__ = ["KeplerFromState", "from_state"]
@@ -241,7 +241,7 @@ def _(primals: tuple[Array, ...], tangents: tuple[Array, ...]) -> tuple[Array, A
 from_state = KeplerFromState
 
 
-def examples() -> dict[str, partial[Any]]:
+def examples() -> Calls:
     """Calls of these functions with all their numbers."""
     at = {"position": jnp.array([0.0, 0.84, 0.91]), "velocity": jnp.array([0.14, -0.76, -0.96])}
     return {"from_state": partial(from_state, mu=1.3, **at, t=0.1)}

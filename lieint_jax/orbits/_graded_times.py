@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from functools import partial
-from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -14,6 +13,7 @@ from jax import Array
 
 from lieint_jax import _checks
 from lieint_jax.orbits._kepler import kepler
+from lieint_jax.types.shapes import Calls
 
 __all__ = ["graded_times"]
 
@@ -58,6 +58,6 @@ def graded_times(
     return times
 
 
-def examples() -> dict[str, partial[Any]]:
+def examples() -> Calls:
     """Calls of these functions with all their numbers."""
     return {"graded_times": partial(graded_times, orbit=kepler(1.3, 1.2, 0.1), t0=0.1, t1=0.9, n=4, c=0.15)}

@@ -11,7 +11,6 @@ from __future__ import annotations
 import dataclasses
 import functools
 from functools import partial
-from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -23,6 +22,7 @@ from lieint_jax import _checks
 from lieint_jax._checks import concrete
 from lieint_jax.orbits._anomaly import Function, elliptic_anomaly, hyperbolic_anomaly, slope
 from lieint_jax.types import pytree, static
+from lieint_jax.types.shapes import Calls
 from lieint_jax.types.vectors import dot
 
 __all__ = ["Kepler", "encounter_speed", "hyperbola", "kepler"]
@@ -237,7 +237,7 @@ def _in_plane(E: Array, e: Array, rest: Array, sine: Function, cosine: Function)
     return rest - 2 * sine(E / 2) ** 2, b * sine(E), -sine(E) / r, b * cosine(E) / r
 
 
-def examples() -> dict[str, partial[Any]]:
+def examples() -> Calls:
     """Calls of these functions with all their numbers."""
     angles = {"inclination": 0.7, "node": 0.4, "periapsis": 0.2, "periapsis_time": 0.1}
     speeds = {"semi_major_axis": 1.1, "eccentricity": 0.3, "inclination": 0.2}

@@ -19,6 +19,7 @@ from lieint_jax.orbits._air import above_ground
 from lieint_jax.orbits._earth import EARTH_RATE, J2000, days_since_j2000, earth_rotation_angle, julian_date
 from lieint_jax.orbits._kepler import kepler
 from lieint_jax.types import callable_pytree, pytree
+from lieint_jax.types.shapes import Calls
 from lieint_jax.types.vectors import dot
 
 __all__ = ["EarthField", "HarmonicField", "earth_field"]
@@ -206,7 +207,7 @@ def _table() -> np.ndarray:
     return np.loadtxt(Path(__file__).with_name("igrf14.csv"), delimiter=",", skiprows=3)
 
 
-def examples() -> dict[str, partial[Any]]:
+def examples() -> Calls:
     """Calls of these functions with all their numbers."""
     orbit, more = kepler(1.3, 1.2, 0.1, 0.7), {"radius": 0.8, "rate": 0.06, "degree": 1}
     dipole, date = jnp.array([0.1, 0.2, -0.9]), jnp.array(2460676.5)

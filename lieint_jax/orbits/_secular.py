@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import dataclasses
 from functools import partial
-from typing import Any
 
 import jax.numpy as jnp
 from jax import Array
@@ -16,6 +15,7 @@ from lieint_jax._deprecated import old_calls
 from lieint_jax.orbits._earth import EARTH_J2, EARTH_RADIUS
 from lieint_jax.orbits._kepler import Kepler, kepler
 from lieint_jax.types import pytree
+from lieint_jax.types.shapes import Calls
 from lieint_jax.types.vectors import cross
 
 __all__ = ["SecularJ2", "secular_j2"]
@@ -123,7 +123,7 @@ def secular_j2(
     return SecularJ2(orbit, j2.astype(dtype), R.astype(dtype))
 
 
-def examples() -> dict[str, partial[Any]]:
+def examples() -> Calls:
     """Calls of these functions with all their numbers."""
     elements = {"mu": 1.3, "semi_major_axis": 1.1, "eccentricity": 0.1, "inclination": 0.7}
     angles = {"node": 0.4, "periapsis": 0.2, "periapsis_time": 0.1}

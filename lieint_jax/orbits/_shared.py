@@ -15,6 +15,7 @@ from jax.typing import ArrayLike
 
 from lieint_jax.orbits._kepler import kepler
 from lieint_jax.types import pytree, static
+from lieint_jax.types.shapes import Calls
 
 __all__ = ["SharedFrame", "SharedFunction", "shared"]
 
@@ -84,6 +85,6 @@ def shared(function: Any) -> SharedFunction:
     return kind(_Constant(function))
 
 
-def examples() -> dict[str, partial[Any]]:
+def examples() -> Calls:
     """Calls of these functions with all their numbers."""
     return {"shared": partial(shared, function=kepler(1.3, 1.2, 0.1))}

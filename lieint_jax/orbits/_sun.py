@@ -18,6 +18,7 @@ from lieint_jax.orbits._anomaly import less_sine
 from lieint_jax.orbits._earth import EARTH_RADIUS, days_since_j2000
 from lieint_jax.orbits._kepler import kepler
 from lieint_jax.types import Converted, argument, callable_pytree, pytree, static
+from lieint_jax.types.shapes import Calls
 from lieint_jax.types.vectors import cross, dot, norm
 
 __all__ = ["Eclipse", "SunDirection", "eclipse", "sun_direction"]
@@ -140,7 +141,7 @@ def _covered_fraction(a: Array, b: Array, c: Array) -> Array:
 eclipse = Eclipse
 
 
-def examples() -> dict[str, partial[Any]]:
+def examples() -> Calls:
     """Calls of these functions with all their numbers."""
     night = {"orbit": kepler(1.3, 1.2, 0.1), "sun": jnp.array([-0.6, -0.8, 0.0]), "radius": 0.8, "angle": 0.3}
     return {

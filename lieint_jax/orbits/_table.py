@@ -15,6 +15,7 @@ from lieint_jax import _checks
 from lieint_jax._checks import concrete, plain
 from lieint_jax._numerics.lookup import increasing_times, interval
 from lieint_jax.types import pytree
+from lieint_jax.types.shapes import Calls
 
 __all__ = ["Table", "VectorTable", "table", "vector_table"]
 
@@ -182,7 +183,7 @@ def _slopes(t: Array, x: Array) -> Array:
     return jnp.concatenate([first[None], inner, last[None]])
 
 
-def examples() -> dict[str, partial[Any]]:
+def examples() -> Calls:
     """Calls of these functions with all their numbers."""
     times = jnp.linspace(-0.6, 1.2, 5)
     c, s = jnp.cos(times), jnp.sin(times)

@@ -9,7 +9,6 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from functools import partial
-from typing import Any
 
 import jax.numpy as jnp
 from jax import Array, lax
@@ -20,7 +19,7 @@ from lieint_jax._numerics import newton
 from lieint_jax._numerics.elliptic import carlson_rf_rd
 from lieint_jax.potentials._potential import Potential
 from lieint_jax.types import Converted, argument, pytree
-from lieint_jax.types.shapes import Positions, Rotations, Scalar
+from lieint_jax.types.shapes import Calls, Positions, Rotations, Scalar
 
 __all__ = ["EllipsoidSphere", "ellipsoid_sphere"]
 
@@ -99,7 +98,7 @@ def _confocal(squares: Array, axes: Array) -> Array:
 ellipsoid_sphere = EllipsoidSphere
 
 
-def examples() -> dict[str, partial[Any]]:
+def examples() -> Calls:
     """Calls of these functions with all their numbers."""
     masses, semi_axes = jnp.array([2.0, 1.0]), jnp.array([1.0, 0.8, 0.3])
     return {"ellipsoid_sphere": partial(ellipsoid_sphere, G=1.3, masses=masses, semi_axes=semi_axes)}

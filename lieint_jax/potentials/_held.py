@@ -16,7 +16,7 @@ from lieint_jax.groups import so3
 from lieint_jax.potentials._potential import Potential
 from lieint_jax.potentials._rod import rod
 from lieint_jax.types import Converted, argument, callable_pytree, pytree, with_fields
-from lieint_jax.types.shapes import PoseMomenta, Positions, Rotations, Scalar
+from lieint_jax.types.shapes import Calls, PoseMomenta, Positions, Rotations, Scalar
 
 __all__ = ["Held", "held"]
 
@@ -154,7 +154,7 @@ class Held(Potential):
 held = Held
 
 
-def examples() -> dict[str, partial[Any]]:
+def examples() -> Calls:
     """Calls of these functions with all their numbers."""
     chain = rod([0.7, 0.7], (1.3, 1.1, 2.0), (0.3, 0.4, 0.2))
     first = jnp.array([0.3, -0.5, 0.7, 0.8, -0.4, 0.4, 0.2])

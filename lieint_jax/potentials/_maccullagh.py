@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from functools import partial
-from typing import Any
 
 import jax.numpy as jnp
 import numpy as np
@@ -13,7 +12,7 @@ from lieint_jax._checks import named, of_shapes, real_array
 from lieint_jax._xla import materialized
 from lieint_jax.potentials._potential import Potential
 from lieint_jax.types import Converted, argument, pytree, vectors
-from lieint_jax.types.shapes import PoseMomenta, Positions, Rotations, Scalar
+from lieint_jax.types.shapes import Calls, PoseMomenta, Positions, Rotations, Scalar
 
 __all__ = ["MacCullagh", "maccullagh"]
 
@@ -139,7 +138,7 @@ def _form(J: Array, Gamma: Array) -> Array:
 maccullagh = MacCullagh
 
 
-def examples() -> dict[str, partial[Any]]:
+def examples() -> Calls:
     """Calls of these functions with all their numbers."""
     inertias = jnp.array([[1.3, 1.7, 2.2], [0.13, 0.17, 0.22]])
     return {"maccullagh": partial(maccullagh, G=1.3, masses=jnp.array([2.0, 1.0]), inertias=inertias)}

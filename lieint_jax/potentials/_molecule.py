@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from functools import partial
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import jax.numpy as jnp
 import numpy as np
@@ -12,6 +12,7 @@ from numpy.typing import ArrayLike
 from lieint_jax import _checks
 from lieint_jax.potentials._potential import Potential
 from lieint_jax.potentials._site_pairs import sites
+from lieint_jax.types.shapes import Calls
 
 __all__ = ["Molecule", "molecule", "water"]
 
@@ -133,7 +134,7 @@ def water(model: str = "TIP4P/2005") -> Molecule:
     return molecule(masses, at, charge * np.array([0, 1, 1, -2]), well * _CALORIE * oxygen, sizes=size * oxygen)
 
 
-def examples() -> dict[str, partial[Any]]:
+def examples() -> Calls:
     """Calls of these functions with all their numbers."""
     masses, points = np.array([2.0, 1.0, 1.5]), np.array([[0.1, 0.2, 0.0], [-0.1, 0.0, 0.1], [0.3, 0.0, 0.0]])
     more = {"charges": np.array([0.3, -0.4, 0.1]), "wells": np.array([0.2, 0.7, 0.0]), "sizes": np.full(3, 0.3)}

@@ -26,6 +26,7 @@ from lieint_jax import _checks
 from lieint_jax.potentials._potential import Potential
 from lieint_jax.shapes import Shape, box, ellipsoid, trace_free
 from lieint_jax.types import pytree, static
+from lieint_jax.types.shapes import Calls
 
 __all__ = ["MutualGravity", "mutual_gravity"]
 
@@ -235,7 +236,7 @@ def _scale_each(numbers: Array, tensors: Array) -> Array:
     return numbers.reshape(-1, *[1] * (tensors.ndim - 1)) * tensors
 
 
-def examples() -> dict[str, partial[Any]]:
+def examples() -> Calls:
     """Calls of these functions with all their numbers."""
     shapes = [box([0.3, 0.2, 0.1], mass=2.0), ellipsoid([0.2, 0.3, 0.1], mass=1.0)]
     return {"mutual_gravity": partial(mutual_gravity, G=1.3, shapes=shapes, order=4)}

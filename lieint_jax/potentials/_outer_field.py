@@ -17,7 +17,7 @@ from lieint_jax import _checks
 from lieint_jax.potentials._potential import Potential
 from lieint_jax.potentials._site_pairs import group_sites, site_positions
 from lieint_jax.types import callable_pytree, pytree, static
-from lieint_jax.types.shapes import Positions, Rotations, Scalar
+from lieint_jax.types.shapes import Calls, Positions, Rotations, Scalar
 
 __all__ = ["OuterField", "UniformField", "outer_field", "uniform_field"]
 
@@ -135,7 +135,7 @@ def _saddle(k: Array, x: Array) -> Array:
     return k * x[0] * x[1]
 
 
-def examples() -> dict[str, partial[Any]]:
+def examples() -> Calls:
     """Calls of these functions with all their numbers."""
     rows = [jnp.array([0.3, 0.4]), jnp.array([0.7])]
     points = [jnp.array([[0.1, 0.2, 0.0], [-0.1, 0.0, 0.1]]), jnp.array([[0.0, 0.2, 0.1]])]

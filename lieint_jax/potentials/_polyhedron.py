@@ -29,7 +29,7 @@ from lieint_jax._xla import compiled
 from lieint_jax.potentials._potential import Potential, relative
 from lieint_jax.shapes import Shape, trace_free
 from lieint_jax.types import pytree, vectors
-from lieint_jax.types.shapes import PoseMomenta, Positions, Rotations, Scalar
+from lieint_jax.types.shapes import Calls, PoseMomenta, Positions, Rotations, Scalar
 
 __all__ = ["Polyhedron", "PolyhedronGravity", "polyhedron"]
 
@@ -303,7 +303,7 @@ def _logarithm(a: Array, b: Array, ab: Array, square: Array, e: Array) -> Array:
 _TETRAHEDRON = np.array([[0, 2, 1], [0, 1, 3], [0, 3, 2], [1, 2, 3]])
 
 
-def examples() -> dict[str, partial[Any]]:
+def examples() -> Calls:
     """Calls of these functions with all their numbers."""
     corners = jnp.array([[0.0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1]])
     return {"polyhedron": partial(polyhedron, G=1.3, mesh=(corners, _TETRAHEDRON), density=1.5)}

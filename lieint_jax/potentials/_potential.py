@@ -14,7 +14,7 @@ from jax.typing import ArrayLike
 from lieint_jax._checks import all_plain
 from lieint_jax._numerics.discrete_gradient import discrete_gradient
 from lieint_jax.types import Partitioned, State, autodiff_gradient, callable_pytree, clock, pytree
-from lieint_jax.types.shapes import PoseMomenta, Positions, Rotations, Scalar
+from lieint_jax.types.shapes import Calls, PoseMomenta, Positions, Rotations, Scalar
 
 __all__ = [
     "Potential",
@@ -239,7 +239,7 @@ def _attraction(k: Array, x: Array, R: Array) -> Array:
     return k * jnp.sum((x[0] - x[1]) ** 2) + jnp.sum(R[0] * R[1])
 
 
-def examples() -> dict[str, partial[Any]]:
+def examples() -> Calls:
     """Calls of these functions with all their numbers."""
     R = jnp.stack([jnp.eye(3), jnp.eye(3)[jnp.array([1, 2, 0])]])
     bodies = Partial(_attraction, jnp.array(1.3))

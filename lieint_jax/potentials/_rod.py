@@ -23,7 +23,6 @@ where an element turns further than about one axis: Σo = 2(1 − cos θ).
 from __future__ import annotations
 
 from functools import partial
-from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -36,7 +35,7 @@ from lieint_jax._xla import compiled
 from lieint_jax.groups import so3
 from lieint_jax.potentials._potential import Potential
 from lieint_jax.types import pytree, static, vectors
-from lieint_jax.types.shapes import PoseMomenta, Poses, Positions, Rotations, Scalar
+from lieint_jax.types.shapes import Calls, PoseMomenta, Poses, Positions, Rotations, Scalar
 
 __all__ = ["Rod", "rod"]
 
@@ -210,7 +209,7 @@ def _product(A: Array, B: Array) -> Array:
     return jnp.sum(A[:, :, :, None] * B[:, None, :, :], axis=2)
 
 
-def examples() -> dict[str, partial[Any]]:
+def examples() -> Calls:
     """Calls of these functions with all their numbers."""
     pair, chain = (jnp.array([[1.3, 1.1, 2.0]]), jnp.array([[0.3, 0.4, 0.2]])), jnp.array([0.7])
     curved = {"natural_curvature": jnp.array([[0.3, -0.5, 0.7]]), "energy": "fourth"}

@@ -20,7 +20,7 @@ from lieint_jax import _checks
 from lieint_jax._checks import concrete
 from lieint_jax.potentials._potential import Potential
 from lieint_jax.types import pytree, static
-from lieint_jax.types.shapes import Positions, Rotations, Scalar
+from lieint_jax.types.shapes import Calls, Positions, Rotations, Scalar
 
 __all__ = ["InverseDistance", "LennardJones", "lennard_jones", "point_charges", "point_masses", "sites"]
 
@@ -293,7 +293,7 @@ def site_positions(points: Array, bodies: tuple[int, ...], x: Positions, R: Rota
     return x[:, None, :] + jnp.sum(R[:, None, :, :] * points[:, :, None, :], axis=3)
 
 
-def examples() -> dict[str, partial[Any]]:
+def examples() -> Calls:
     """Calls of these functions with all their numbers."""
     points = [jnp.array([[0.1, 0.2, 0.0], [-0.1, 0.0, 0.1]]), jnp.array([[0.0, 0.2, 0.1]])]
     rows = [jnp.array([0.3, 0.4]), jnp.array([0.7])]

@@ -12,7 +12,7 @@ from jax import Array
 from lieint_jax._checks import for_each, named, not_negative, real_array
 from lieint_jax.potentials._potential import Potential
 from lieint_jax.types import Converted, argument, pytree, static
-from lieint_jax.types.shapes import Positions, Rotations, Scalar
+from lieint_jax.types.shapes import Calls, Positions, Rotations, Scalar
 
 __all__ = ["Springs", "springs"]
 
@@ -88,7 +88,7 @@ def _root(u: Array) -> Array:
 springs = Springs
 
 
-def examples() -> dict[str, partial[Any]]:
+def examples() -> Calls:
     """Calls of these functions with all their numbers."""
     points = jnp.array([[[0.1, 0.2, 0.0], [-0.1, 0.0, 0.1]]])
     return {"springs": partial(springs, bodies=((0, 1),), points=points, stiffness=0.3, lengths=0.4)}

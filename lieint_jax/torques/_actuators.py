@@ -21,7 +21,7 @@ from lieint_jax.torques._damping import Viscous
 from lieint_jax.torques._wheels import Motor, wheel_axes
 from lieint_jax.torques._window import mean_in_window, window
 from lieint_jax.types import Converted, Law, Rotation, argument, parts, pytree, static
-from lieint_jax.types.shapes import PyTree
+from lieint_jax.types.shapes import Calls, PyTree
 from lieint_jax.types.vectors import cross, dot
 
 __all__ = ["Torquers", "Unloading", "WheelMotor", "allocation", "torquers", "unloading", "wheel_motor", "wheel_pyramid"]
@@ -226,7 +226,7 @@ def _magnetic_torque(torque: Array, B: Array, max_dipole: Array | None) -> Array
 torquers, wheel_motor = Torquers, WheelMotor
 
 
-def examples() -> dict[str, partial[Any]]:
+def examples() -> Calls:
     """Calls of these functions with all their numbers."""
     axes, control, field = wheel_pyramid(0.6), Viscous(0.3), example_of_time()
     return {

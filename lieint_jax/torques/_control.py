@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from functools import partial
-from typing import Any
 
 import jax.numpy as jnp
 from jax import Array
@@ -12,7 +11,7 @@ from lieint_jax._checks import named, not_negative
 from lieint_jax.groups import so3
 from lieint_jax.torques._arguments import NO_ROTATION, rotation
 from lieint_jax.types import Converted, Law, Rotation, argument, pytree
-from lieint_jax.types.shapes import PyTree
+from lieint_jax.types.shapes import Calls, PyTree
 from lieint_jax.types.vectors import dot
 
 __all__ = ["PDQuaternion", "PDTrace", "pd_quaternion", "pd_trace"]
@@ -106,7 +105,7 @@ class PDQuaternion(_ProportionalDerivative):
 pd_trace, pd_quaternion = PDTrace, PDQuaternion
 
 
-def examples() -> dict[str, partial[Any]]:
+def examples() -> Calls:
     """Calls of these functions with all their numbers."""
     target = jnp.array([0.2, 0.4, -0.3, 0.8]) / jnp.sqrt(0.93)
     return {

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from functools import partial
-from typing import Any
 
 import jax.numpy as jnp
 from jax import Array
@@ -11,7 +10,7 @@ from jax import Array
 from lieint_jax._checks import all_plain, named, not_negative, positive
 from lieint_jax.torques._arguments import dissipative_tensor, tensor_of
 from lieint_jax.types import Converted, Law, Rotation, argument, pytree, static
-from lieint_jax.types.shapes import PyTree
+from lieint_jax.types.shapes import Calls, PyTree
 from lieint_jax.types.vectors import Scalar, Vector, VectorLike, cross, dot
 
 __all__ = ["KaneDamper", "Viscous", "internal_friction", "kane_damper", "viscous"]
@@ -102,7 +101,7 @@ def internal_friction(friction: Scalar, Pi: VectorLike, Omega: VectorLike) -> Ve
 viscous, kane_damper = Viscous, KaneDamper
 
 
-def examples() -> dict[str, partial[Any]]:
+def examples() -> Calls:
     """Calls of these functions with all their numbers."""
     return {
         "viscous": partial(viscous, damping=jnp.array([1.3, 1.7, 2.2])),

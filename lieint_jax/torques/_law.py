@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 from functools import partial
-from typing import Any
 
 from lieint_jax.torques._damping import Viscous
 from lieint_jax.types import Law, Rotation, total
+from lieint_jax.types.shapes import Calls
 
 __all__ = ["Law", "Rotation", "total"]
 
 
-def examples() -> dict[str, partial[Any]]:
+def examples() -> Calls:
     """Calls of these functions with all their numbers."""
     return {"total": partial(total, laws=[Viscous(0.1), Viscous(0.2)])}

@@ -24,7 +24,7 @@ from lieint_jax.torques._arguments import (
 )
 from lieint_jax.torques._body_axes import end_axes, mean_axes, middle_axes, start_axes
 from lieint_jax.types import Converted, Law, Rotation, argument, pytree, static
-from lieint_jax.types.shapes import PyTree
+from lieint_jax.types.shapes import Calls, PyTree
 from lieint_jax.types.vectors import Vector, cross, dot, norm
 
 __all__ = ["BDot", "EddyCurrent", "Hysteresis", "LimitedBDot", "bdot", "eddy_current", "hysteresis"]
@@ -234,7 +234,7 @@ class Hysteresis(Law):
 eddy_current, hysteresis = EddyCurrent, Hysteresis
 
 
-def examples() -> dict[str, partial[Any]]:
+def examples() -> Calls:
     """Calls of these functions with all their numbers."""
     field, rate = example_of_time(), example_of_time(0.3, -0.5, 0.7)
     rod = {"axis": jnp.array([0.6, 0.8, 0.0]), "saturation": 0.3, "slope": 0.2, "coercivity": 0.1}

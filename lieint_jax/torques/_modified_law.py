@@ -14,7 +14,7 @@ from lieint_jax.torques._arguments import cut
 from lieint_jax.torques._damping import Viscous
 from lieint_jax.torques._window import mean_in_window, window
 from lieint_jax.types import Converted, Law, LawSum, Rotation, argument, as_law, pytree
-from lieint_jax.types.shapes import PyTree
+from lieint_jax.types.shapes import Calls, PyTree
 
 __all__ = ["ModifiedLaw", "Saturated", "Windowed", "saturated", "windowed"]
 
@@ -130,7 +130,7 @@ def windowed(law: Law, start: ArrayLike, stop: ArrayLike | None = None) -> Windo
 saturated = Saturated
 
 
-def examples() -> dict[str, partial[Any]]:
+def examples() -> Calls:
     """Calls of these functions with all their numbers."""
     law = Viscous(0.4)
     return {

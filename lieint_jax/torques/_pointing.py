@@ -16,7 +16,7 @@ from lieint_jax._checks import not_negative, positive
 from lieint_jax.groups import so3
 from lieint_jax.torques._arguments import NO_ROTATION, rotation
 from lieint_jax.types import Law, Rotation, callable_pytree, pytree, vectors
-from lieint_jax.types.shapes import PyTree
+from lieint_jax.types.shapes import Calls, PyTree
 from lieint_jax.types.vectors import cross
 
 __all__ = ["Pointing", "SlidingMode", "Target", "pointing", "sliding_mode"]
@@ -201,7 +201,7 @@ def _rotating_frame(velocity: Array, t: Array) -> Array:
     return so3.exp(velocity * t)
 
 
-def examples() -> dict[str, partial[Any]]:
+def examples() -> Calls:
     """Calls of these functions with all their numbers."""
     J, offset = jnp.array([1.3, 1.7, 2.2]), jnp.array([0.8, -0.3, 0.4, 0.2]) / jnp.sqrt(0.93)
     frame = Partial(_rotating_frame, jnp.array([0.3, -0.5, 0.7]))

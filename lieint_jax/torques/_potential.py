@@ -18,7 +18,7 @@ from lieint_jax.groups import so3
 from lieint_jax.torques._arguments import VectorOfTime, evaluate, example_of_time, value_at, vector_of_time
 from lieint_jax.torques._body_axes import end_axes, start_axes
 from lieint_jax.types import Converted, Law, Rotation, argument, callable_pytree, pytree, vectors
-from lieint_jax.types.shapes import PyTree
+from lieint_jax.types.shapes import Calls, PyTree
 from lieint_jax.types.vectors import cross, dot
 
 __all__ = [
@@ -193,7 +193,7 @@ def _energy_of_axis(k: Array, Gamma: Array, t: Array) -> Array:
     return k * Gamma[0] * Gamma[1] * jnp.cos(t)
 
 
-def examples() -> dict[str, partial[Any]]:
+def examples() -> Calls:
     """Calls of these functions with all their numbers."""
     axis = example_of_time()
     orbit, V = Partial(_circle, jnp.array(1.2)), Partial(_energy_of_axis, jnp.array(0.7))

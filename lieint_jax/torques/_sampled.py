@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from functools import partial
-from typing import Any
 
 from jax import Array
 from jax.typing import ArrayLike
@@ -13,7 +12,7 @@ from lieint_jax.torques._actuators import control_laws, control_torque
 from lieint_jax.torques._damping import Viscous
 from lieint_jax.torques._hold import held_in_step, why_not
 from lieint_jax.types import Converted, Law, Rotation, argument, pytree, static
-from lieint_jax.types.shapes import PyTree
+from lieint_jax.types.shapes import Calls, PyTree
 
 __all__ = ["Sampled", "sampled"]
 
@@ -82,6 +81,6 @@ class Sampled(Law):
 sampled = Sampled
 
 
-def examples() -> dict[str, partial[Any]]:
+def examples() -> Calls:
     """Calls of these functions with all their numbers."""
     return {"sampled": partial(sampled, law=Viscous(0.4), period=0.2, key="sampled")}

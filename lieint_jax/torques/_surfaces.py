@@ -18,7 +18,7 @@ from lieint_jax._checks import concrete, for_each, named, not_negative, positive
 from lieint_jax.torques._arguments import VectorOfTime, direction_at, direction_of_time, evaluate, example_of_time
 from lieint_jax.torques._body_axes import middle_axes
 from lieint_jax.types import Converted, Law, Rotation, argument, callable_pytree, pytree
-from lieint_jax.types.shapes import PyTree
+from lieint_jax.types.shapes import Calls, PyTree
 from lieint_jax.types.vectors import Vector, cross, dot, vector
 
 __all__ = [
@@ -237,7 +237,7 @@ def _wind(numbers: Array, t: Array) -> tuple[Array, Array]:
     return numbers[0] * (2 + jnp.cos(t)), numbers[1:]
 
 
-def examples() -> dict[str, partial[Any]]:
+def examples() -> Calls:
     """Calls of these functions with all their numbers."""
     sizes, center = jnp.array([1.0, 0.5, 0.4]), jnp.array([0.05, -0.1, 0.08])
     areas, normals, arms = box_plates(sizes, center)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from functools import partial
-from typing import Any
 
 import jax.numpy as jnp
 from jax import Array
@@ -12,7 +11,7 @@ from numpy.typing import ArrayLike
 from lieint_jax import _checks
 from lieint_jax.torques._window import mean_in_window, window
 from lieint_jax.types import Law, Rotation, pytree
-from lieint_jax.types.shapes import PyTree
+from lieint_jax.types.shapes import Calls, PyTree
 
 __all__ = ["Thruster", "thruster"]
 
@@ -47,6 +46,6 @@ def thruster(torque: ArrayLike, start: ArrayLike, stop: ArrayLike) -> Thruster:
     return Thruster(_checks.real_array("torque", torque, (3,)), *window("a pulse", start, stop))
 
 
-def examples() -> dict[str, partial[Any]]:
+def examples() -> Calls:
     """Calls of these functions with all their numbers."""
     return {"thruster": partial(thruster, torque=jnp.array([0.3, -0.5, 0.7]), start=0.72, stop=0.77)}

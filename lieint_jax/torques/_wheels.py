@@ -6,7 +6,6 @@ import abc
 import dataclasses
 from collections.abc import Callable
 from functools import partial
-from typing import Any
 
 import jax.numpy as jnp
 from jax import Array
@@ -19,7 +18,7 @@ from lieint_jax.groups import so3
 from lieint_jax.torques._arguments import cut
 from lieint_jax.torques._hold import held_in_step, why_not
 from lieint_jax.types import Converted, Law, Rotation, argument, callable_pytree, pytree, with_fields
-from lieint_jax.types.shapes import PyTree
+from lieint_jax.types.shapes import Calls, PyTree
 from lieint_jax.types.vectors import cross
 
 __all__ = ["Wheels", "body_inertia", "wheels"]
@@ -215,7 +214,7 @@ def _braking(gain: Array, t: Array, q: Array, Omega: Array, h: Array) -> Array:
     return -gain * h
 
 
-def examples() -> dict[str, partial[Any]]:
+def examples() -> Calls:
     """Calls of these functions with all their numbers."""
     axes = jnp.array([[1.0, 0.0, 0.0], [0.0, 0.6, 0.8]])
     motor, limits = Partial(_braking, jnp.array(0.4)), {"max_torque": 0.1, "max_momentum": 0.5}

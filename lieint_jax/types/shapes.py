@@ -9,6 +9,7 @@ A type checker sees arrays; the package needs no jaxtyping. At run time each nam
 
 from __future__ import annotations
 
+from functools import partial
 from typing import TYPE_CHECKING, Annotated, Any, TypeAlias, TypeVar
 
 from jax import Array
@@ -34,6 +35,7 @@ else:
 
 _T = TypeVar("_T")
 Converted: TypeAlias = Annotated[_T, "converted"]  # a field that the constructor makes a _T from what is given
+Calls: TypeAlias = dict[str, partial[Any]]  # the `examples()` of functions, by names
 PyTree: TypeAlias = Any  # a tree whose leaves are arrays, such as the parameters of a fit
 
 Scalar: TypeAlias = Float[Array, ""]

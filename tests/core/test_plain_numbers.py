@@ -43,6 +43,8 @@ NO_NUMBERS = {  # whose numbers are options, or those of functions and states
     "fitting.fit",  # the residuals below
     "potentials.at_time",
     "potentials.given_poses",
+    "potentials.mutual_gravity",
+    "potentials.polyhedron",
     "shapes.obj",
     "systems.clebsch_integral",
 }
@@ -258,7 +260,7 @@ CALLS = {
     "systems.euler": dict(group=groups.so3, metric=J),
     "systems.gravity_gradient": lambda: dict(inertia=J, orbit=kepler_orbit(), mu=1.0),
     "systems.group_potential": lambda: dict(
-        group=groups.special_orthogonal(3), metric=J, potential=lambda q: q[0, 0], symmetry=None
+        group=groups.special_orthogonal(3), metric=J, potential=lambda q: 0 * q[0, 0], symmetry=np.eye(3)[2:]
     ),
     "systems.gyrostat": dict(inertia=J, rotor=V),
     "systems.heavy_top": dict(inertia=J, weight=V, axis=V),
