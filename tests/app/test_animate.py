@@ -13,7 +13,7 @@ import pytest
 from PIL import Image
 
 import lieint_jax as li
-from lieint_jax.app import plots
+from lieint_jax import plots
 from lieint_jax.app.command import cli, meshes, pictures, scene
 
 pytestmark = pytest.mark.long

@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 import lieint_jax as li
-from lieint_jax.app import plots
+from lieint_jax import plots
 from lieint_jax.app.command import pictures
 from lieint_jax.app.studies import gyro
 
@@ -103,7 +103,7 @@ def test_figures_are_saved_in_one_place_and_never_by_pyplot():
 @pytest.mark.long
 def test_the_style_ends_with_the_figure_and_import_changes_nothing(tmp_path):
     code = (
-        "import matplotlib; before = dict(matplotlib.rcParams); from lieint_jax.app import plots;"
+        "import matplotlib; before = dict(matplotlib.rcParams); from lieint_jax import plots;"
         "assert dict(matplotlib.rcParams) == before; print(plots.COLORS[1])"
     )
     assert subprocess.check_output([sys.executable, "-c", code], text=True).strip() == plots.RED

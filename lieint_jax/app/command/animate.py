@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from matplotlib.figure import Figure
 
-from lieint_jax.app import plots
+from lieint_jax import plots
 from lieint_jax.app.command import files, info, meshes
 from lieint_jax.app.command.scene import Scene, Span, scene_of
 from lieint_jax.app.printer import show, show_written

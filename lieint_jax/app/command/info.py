@@ -11,8 +11,8 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from lieint_jax import _checks
-from lieint_jax.app import plots, scenarios
+from lieint_jax import _checks, plots
+from lieint_jax.app import scenarios
 from lieint_jax.app.command import files, pictures
 from lieint_jax.app.printer import readable, show, show_written
 from lieint_jax.app.scenarios._kind import Kind

@@ -12,8 +12,8 @@ import jax.numpy as jnp
 import numpy as np
 from pydantic import Field
 
-from lieint_jax import shapes
-from lieint_jax.app import plots, scenarios
+from lieint_jax import plots, shapes
+from lieint_jax.app import scenarios
 from lieint_jax.app.scenarios._keys import Pair, PositiveFloat, PositiveTriple, Table, Triple
 from lieint_jax.groups import so3
 from lieint_jax.runs import store as archives

@@ -10,7 +10,7 @@ import jax.numpy as jnp
 import numpy as np
 from matplotlib.figure import Figure
 
-from lieint_jax.app import plots
+from lieint_jax import plots
 from lieint_jax.app.scenarios import _pictures
 from lieint_jax.app.scenarios._body import axis_in_space, spin_axis
 from lieint_jax.app.scenarios._runs import POINTS, energy, kinetic_energy, momentum, positive, series

@@ -8,7 +8,7 @@ from typing import Any
 import matplotlib
 import numpy as np
 
-from lieint_jax.app import plots
+from lieint_jax import plots
 from lieint_jax.app.scenarios._kind import Kind
 from lieint_jax.app.scenarios._report import Conserved
 from lieint_jax.runs import Run
