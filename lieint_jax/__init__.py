@@ -80,7 +80,7 @@ from lieint_jax.runs import open_run as open  # noqa: A004
 from lieint_jax.types import State, Step, StepInfo, Trajectory, pytree, static
 
 if TYPE_CHECKING:
-    from lieint_jax import plots, report
+    from lieint_jax import plots, report  # noqa: F401
 
 __all__ = [
     "Event",

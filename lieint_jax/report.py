@@ -1,14 +1,14 @@
 """The report of a run as text: its size, what it conserved, and what was measured next to published values.
 
-    run = li.run(step, states, dt, num_steps)  # member 0 is the nominal one
-    rows = [li.report.Row("rotation period (d)", run.periods().rotation, li.report.Published(5.38, 0.03, "Zhao 2015"))]
-    print(li.report.text("4179 Toutatis", run, rows, time_unit="d"))
+run = li.run(step, states, dt, num_steps)  # member 0 is the nominal one
+rows = [li.report.Row("rotation period (d)", run.periods().rotation, li.report.Published(5.38, 0.03, "Zhao 2015"))]
+print(li.report.text("4179 Toutatis", run, rows, time_unit="d"))
 """
 
 from __future__ import annotations
 
 import textwrap
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 

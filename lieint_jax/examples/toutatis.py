@@ -1,7 +1,7 @@
 """4179 Toutatis, a tumbling asteroid: 800 days, compared with published periods and a radar attitude.
 
-A small asteroid that rotates freely about no principal axis, observed by radar at every close approach since 1992 and by
-Chang'e-2 in 2012. Units: days; the axes of space are those of the ecliptic, J2000.
+A small asteroid that rotates freely about no principal axis. It was observed by radar at every close approach since
+1992, and by Chang'e-2 in 2012. Times are in days; the axes of space are those of the ecliptic, J2000.
 """
 
 from pathlib import Path
@@ -99,7 +99,8 @@ def main(
 def radar_remarks(run):
     """The attitude and rate that were observed by radar next to the predicted ones, with the sizes of errors."""
     so3, body = li.groups.so3, run.system
-    start, now = (jax.tree.map(lambda x: jnp.asarray(x[k, 0]), run.state) for k in (0, RADAR_SAVE))
+    one = run.member(0)
+    start, now = (jax.tree.map(lambda x, k=k: jnp.asarray(x[k]), one.state) for k in (0, RADAR_SAVE))
     observed = li.attitude.from_euler("ZXZ", np.deg2rad(RADAR[0]))
     true = body.solution(start, RADAR_TIME)  # in closed form
     members = np.rad2deg(jax.vmap(so3.angle, (0, None))(jnp.asarray(run.state.q[RADAR_SAVE]), now.q))
@@ -118,7 +119,7 @@ def radar_remarks(run):
 
 @li.plots.style()
 def draw_path(run):
-    """Map the direction of the long axis in space: its path, all members at the time of the radar attitude, and that."""
+    """Map the direction of the long axis in space: its path, and where it was by all members and by radar."""
     plots, last = li.plots, min(RADAR_SAVE, len(run.t) - 1)
     fig, [[ax]] = plots.figure(size=(7.0, 4.2), subplot_kw={"projection": "mollweide"})
     times = np.linspace(0.0, run.t[last], 4000)
@@ -144,7 +145,9 @@ def draw_invariants(run):
     body, state, t = one.system, jax.tree.map(lambda x: x[0], one.state), np.asarray(one.t)
     fig, [axes] = li.plots.figure(3)
     fig.suptitle("4179 Toutatis")
-    li.plots.log_error(axes[0], t, {"": np.asarray(one.energy_error() / body.energy(state))}, "relative energy error", "d")
+    li.plots.log_error(
+        axes[0], t, {"": np.asarray(one.energy_error() / body.energy(state))}, "relative energy error", "d"
+    )
     n = 20 * SAVE_EVERY
     sigma = jax.jit(lambda z: li.diagnostics.poisson_error(one.step, z, DT, n))(state)
     size = np.linalg.norm(jax.vmap(li.groups.so3.vee)(sigma), axis=1)

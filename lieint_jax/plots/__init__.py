@@ -53,6 +53,9 @@ from lieint_jax.plots._axes import (
     unit_vectors,
     works,
 )
+from lieint_jax.plots._panels import balance, chain, histogram, member_series, on_sphere, space_paths
+from lieint_jax.plots.film import animate
+from lieint_jax.plots.runs import errors, motion, overview, works_of_laws
 
 __all__ = [
     "BLUE",
@@ -68,15 +71,24 @@ __all__ = [
     "STYLES",
     "WINE",
     "amplified_round_off",
+    "animate",
+    "balance",
     "caption",
+    "chain",
     "cube",
     "delay_plot",
+    "errors",
     "figure",
     "files",
+    "histogram",
     "legend_below",
     "letter_panels",
     "log_error",
     "loglog_lines",
+    "member_series",
+    "motion",
+    "on_sphere",
+    "overview",
     "paths",
     "points",
     "round_off",
@@ -85,6 +97,7 @@ __all__ = [
     "sky",
     "sky_path",
     "sky_points",
+    "space_paths",
     "sphere_axes",
     "sphere_ends",
     "sphere_path",
@@ -92,4 +105,5 @@ __all__ = [
     "style",
     "unit_vectors",
     "works",
+    "works_of_laws",
 ]

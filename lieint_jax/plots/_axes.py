@@ -64,8 +64,9 @@ def letter_panels(axes: np.ndarray, titles: Sequence[str]) -> None:
         ax.set_title(f"({letter}) {title}", loc="left")
 
 
-def save(fig: Figure, path: Path) -> list[Path]:
+def save(fig: Figure, path: str | Path) -> list[Path]:
     """Write a figure as PNG at `path`, and as PDF next to it, and return the paths of both files."""
+    path = Path(path)
     with style():
         for _ in range(_LAYOUTS):
             fig.draw_without_rendering()
