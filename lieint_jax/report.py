@@ -87,7 +87,7 @@ class Change(NamedTuple):
     Attributes:
         name: its name, with the quantity to which its change is relative.
         values: its values at all saved times, (times, members, …) or (times, …) of one body.
-        size: the size to which its change is relative; broadcasts with (times, members) or (times,).
+        size: the size to which its change is relative, which broadcasts with the values.
         promise: how well the scheme conserves it, as it declares.
     """
 
@@ -99,9 +99,7 @@ class Change(NamedTuple):
     def largest(self) -> float:
         """The largest component of the relative change, over all members and saved times."""
         values = np.asarray(self.values)
-        change = abs(values - values[0])
-        axes = tuple(range(max(np.ndim(self.size), 1), change.ndim)) if np.ndim(self.size) else ()
-        return float((change.max(axis=axes) / self.size).max())
+        return float((abs(values - values[0]) / self.size).max())
 
 
 def changes(run: Run) -> list[Change]:
@@ -124,7 +122,7 @@ def changes(run: Run) -> list[Change]:
         found.append(Change(f"{name}, relative", H, _or_one(abs(H).max(axis=0)), promise(name)))
     Phi = np.asarray(run.map(_momentum))
     if Phi.shape[-1]:
-        size = np.broadcast_to(_or_one(np.linalg.norm(Phi[0], axis=-1)), Phi.shape[:-1])
+        size = _or_one(np.linalg.norm(Phi[0], axis=-1, keepdims=True))
         found.append(Change("momentum, relative", Phi, size, promise("momentum")))
     return found
 

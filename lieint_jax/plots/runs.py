@@ -56,7 +56,7 @@ _CHORD = np.deg2rad(3)  # largest rotation from one point of a drawn path to the
 def pictures_of(states: State) -> dict[str, Callable[[Run, str], Figure]]:
     """The functions that draw a run of a batch with these states under a title, by the suffix of their file names."""
     works = {"works": works_of_laws} if "works" in (states.extra or {}) else {}
-    invariants = {"invariants": errors} if states.p.shape[-1] else {}  # a motion of given rate has none
+    invariants = {"errors": errors} if states.p.shape[-1] else {}  # a motion of given rate has none
     return invariants | {"motion": motion} | works
 
 

@@ -287,7 +287,7 @@ def test_a_run_that_counts_works_has_a_picture_of_them():
     start = body.state(li.groups.so3.exp(np.array([0.3, -1.0, 0.7])), angular_velocity=[1.0, -2.0, 0.5], works=True)
     run = alone(li.schemes.torqued_midpoint(body), start)
     kinds = runs.pictures_of(run.state)
-    assert set(kinds) == {"invariants", "motion", "works"}
+    assert set(kinds) == {"errors", "motion", "works"}
     left, right = kinds["works"](run, "a body").axes
     drawn = {line.get_label(): line.get_ydata() for line in left.get_lines()}
     assert list(drawn) == ["change of energy", "viscous", "pd trace"]
@@ -297,7 +297,7 @@ def test_a_run_that_counts_works_has_a_picture_of_them():
     errors = runs.errors(run, "a body").axes[0]
     assert errors.get_ylabel() == "error of energy less work, relative"
     assert max(np.max(line.get_ydata()) for line in errors.get_lines()) < 1e-14
-    assert set(runs.pictures_of(run.state._replace(extra=None))) == {"invariants", "motion"}
+    assert set(runs.pictures_of(run.state._replace(extra=None))) == {"errors", "motion"}
 
 
 def apart(labels):
