@@ -83,7 +83,7 @@ def main(
 
 @li.plots.style()
 def draw_path(run, closed):
-    """Plot the axis on the sphere for one revolution about the vertical, all members at the end, and its inclination."""
+    """Plot the axis on the sphere for a revolution about the vertical, all members at the end, and its inclination."""
     fig, axes = li.plots.figure(2)
     left = fig.add_subplot(1, 2, 1, projection="3d")
     axes[0, 0].remove()
