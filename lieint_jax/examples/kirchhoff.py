@@ -1,9 +1,8 @@
 """A spinning spheroid in water: the spin that makes its heading stable.
 
 A neutrally buoyant spheroid, three times as long as it is wide, moves along its long axis through water at rest and
-spins about this axis. Without spin it would turn broadside to its motion; with enough spin its heading is stable. Units:
-meters, seconds, and the mass of the spheroid. Try other semi-axes, and a center of mass off the center, which couples
-rotation and translation.
+spins about this axis. Without spin it would turn broadside to its motion; with enough spin its heading is stable.
+Units: meters, seconds, and the mass of the spheroid. Other semi-axes are an option.
 """
 
 from pathlib import Path

@@ -1,7 +1,7 @@
 """A spherical pendulum: its swing, compared with the closed form.
 
-A bob on a rod of one meter is pushed sideways. Its path is a rosette, which precesses about the vertical. SI units; for
-a rod of length l take the mass m l² and the gravity g/l. The scheme conserves energy and the momentum about the vertical.
+A bob on a rod of one meter is pushed sideways. Its path is a rosette, which precesses about the vertical. The scheme
+conserves energy and the momentum about the vertical. SI units; a rod of length l has the mass m l² and the gravity g/l.
 """
 
 from pathlib import Path
