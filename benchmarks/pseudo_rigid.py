@@ -257,7 +257,7 @@ def tables(report: dict[str, Any]) -> str:
 
 
 def draw(report: dict[str, Any], path: Path) -> None:
-    from lieint_jax.app import plots
+    from lieint_jax import plots
 
     curves = {c["name"]: (np.array(c["milliseconds"]), np.array(c["errors"])) for c in report["curves"]}
     with plots.style():

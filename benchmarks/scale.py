@@ -189,7 +189,7 @@ def draw(run: dict[str, Any], runs: list[dict[str, Any]], out: Any) -> None:
     """The picture: workers that compute, committed work, requests a second, work computed again by mean life."""
     import numpy as np
 
-    from lieint_jax.app import plots
+    from lieint_jax import plots
 
     with plots.style():
         fig, [axes] = plots.figure(3, size=(3.8, 3.2))

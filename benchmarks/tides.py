@@ -184,7 +184,7 @@ def main() -> None:
 
 def draw(found: dict[str, Any], path: Path) -> None:
     """Errors against orbits, and the reported one; logarithmic axes."""
-    from lieint_jax.app import plots
+    from lieint_jax import plots
 
     with plots.style():
         fig, axes = plots.figure(2, size=(4.6, 3.6), sharey=True)

@@ -31,6 +31,7 @@ A system and a scheme make a step; a step and states make a run.
 | `attitude` | attitudes from other conventions: scalar last, matrices, Euler angles, modified Rodrigues parameters |
 | `files`, `dates` | files that people bring and take away, and their dates |
 | `capabilities` | equations of motion, which systems inherit and schemes integrate |
+| `plots`, `report` | pictures and the report of a run |
 | `groups`, `maps`, `phase_spaces`, `types` | the mathematics below: groups, scalings κ, symplectic forms, states |
 | `elliptic` | elliptic integrals and functions, with derivatives |
 | `scan`, `engine`, `explain` | `jax.lax.scan` in machine code, for your own loops; which engine runs a loop, and why |
@@ -40,6 +41,10 @@ A system and a scheme make a step; a step and states make a run.
 Attitudes are unit quaternions (w, x, y, z), body to space. Momenta are in the axes of space. Any consistent units may
 be used. `lieint list` on the command line lists systems, schemes and scenarios.
 """
+
+import importlib
+from types import ModuleType
+from typing import TYPE_CHECKING
 
 from lieint_jax import (
     adjoints,
@@ -73,6 +78,9 @@ from lieint_jax.native import engine, explain, scan
 from lieint_jax.runs import Event, Run, event, integrate, interpolate, observe, reversible, run, submit, transition
 from lieint_jax.runs import open_run as open  # noqa: A004
 from lieint_jax.types import State, Step, StepInfo, Trajectory, pytree, static
+
+if TYPE_CHECKING:
+    from lieint_jax import plots, report  # noqa: F401
 
 __all__ = [
     "Event",
@@ -110,6 +118,7 @@ __all__ = [
     "phase_spaces",
     "potentials",
     "pytree",
+    "report",
     "reversible",
     "run",
     "scan",
@@ -123,6 +132,13 @@ __all__ = [
     "transition",
     "types",
 ]
+
+
+def __getattr__(name: str) -> ModuleType:
+    """The rooms that are imported when they are asked for: `plots` loads matplotlib."""
+    if name in ("plots", "report"):
+        return importlib.import_module(f"lieint_jax.{name}")
+    raise AttributeError(f"module 'lieint_jax' has no attribute {name!r}")
 
 
 def __dir__() -> list[str]:

@@ -10,7 +10,7 @@ import numpy as np
 from lib import report
 from lib.precision import COMPOSED, CONVERGED, EXACT, EXTRAPOLATED, GAUSS, ORDER_2, PEERS, PREPROCESSED, ROUGH, TWO_BODY
 
-from lieint_jax.app import plots
+from lieint_jax import plots
 
 Record = dict[str, Any]
 Allowed = Callable[[Record], bool]

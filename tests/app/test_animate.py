@@ -13,8 +13,9 @@ import pytest
 from PIL import Image
 
 import lieint_jax as li
-from lieint_jax.app import plots
-from lieint_jax.app.command import cli, meshes, pictures, scene
+from lieint_jax import plots
+from lieint_jax.app.command import cli, meshes
+from lieint_jax.plots import runs, scene, solids
 
 pytestmark = pytest.mark.long
 
@@ -67,7 +68,7 @@ def test_frames_between_saved_states_show_the_states_that_were_not_saved(store):
 @pytest.mark.parametrize("J", [[1.0, 2.0, 2.5], [[2.0, 0.2, -0.1], [0.2, 2.5, 0.15], [-0.1, 0.15, 3.0]]])
 def test_a_box_has_the_given_inertia_up_to_its_size(J):
     """Homogeneous, its second moments are a third of those of its corners with an eighth of the mass each."""
-    corners = meshes.of_inertia(np.array(J)).corners
+    corners = solids.of_inertia(np.array(J)).corners
     E = corners.T @ corners
     J = np.diag(J) if np.ndim(J) == 1 else np.array(J)
     np.testing.assert_allclose((np.trace(E) * np.eye(3) - E) / np.trace(E) * np.trace(J) / 2, J, rtol=0, atol=1e-14)
@@ -77,7 +78,7 @@ def test_a_box_has_the_given_inertia_up_to_its_size(J):
 def test_a_body_with_a_mass_is_the_ellipsoid_of_its_inertia():
     """In rotated axes; its corners are on the ellipsoid, and reach the ends of its semi-axes."""
     squares, R = np.array([9.0, 4.0, 1.0]), np.linalg.qr(np.arange(9.0).reshape(3, 3) % 4 + np.eye(3))[0]
-    corners = meshes.of_inertia(R @ np.diag(1.7 / 5 * (squares.sum() - squares)) @ R.T, 1.7).corners
+    corners = solids.of_inertia(R @ np.diag(1.7 / 5 * (squares.sum() - squares)) @ R.T, 1.7).corners
     corners = corners @ R / np.sqrt(squares)
     np.testing.assert_allclose(np.linalg.norm(corners, axis=1), 1, rtol=1e-12)
 
@@ -87,7 +88,7 @@ def test_a_top_has_the_given_inertia():
     """Up to its size, that of a cone on its point: J₃ = 3mr²/10, J₁ = 3m(r²/4 + h²)/5."""
     r, h, e = 0.5, 0.9, np.array([0.6, 0.0, 0.8])
     J1, J3 = 3 / 5 * (r**2 / 4 + h**2), 3 / 10 * r**2
-    found = meshes.top(J1 * np.eye(3) + (J3 - J1) * np.outer(e, e), e)
+    found = solids.top(J1 * np.eye(3) + (J3 - J1) * np.outer(e, e), e)
     height = found.corners[-1] @ e
     radii = np.linalg.norm(found.corners[1:-1] - height * e, axis=1)
     np.testing.assert_allclose(radii / height, r / h, rtol=1e-12)
@@ -152,7 +153,7 @@ def test_a_path_is_drawn_between_saved_states_and_ends_are_marked():
         run = uniform(t)
         q = np.asarray(jax.vmap(li.groups.so3.multiply, (0, None))(run.state.q, jnp.asarray(tilted)))
         turning = stored(li.systems.rigid_body([1.0, 1.0, 1.0]), q, np.tile([0.0, 0.0, 1.0], (9, 1)), t)
-        fig = pictures.draw_motion(turning, "a body")
+        fig = runs.motion(turning, "a body")
         [ax] = fig.axes
         assert [text.get_text() for text in ax.get_legend().get_texts()] == ["start", "end"]
         [seen] = [line for line in ax.lines if line.get_color() == plots.BLUE and line.get_alpha() == 0.9]
@@ -314,11 +315,11 @@ def volume(solid):
 @pytest.mark.quick
 def test_solids_have_their_volumes_and_keep_their_surface_in_smaller_faces():
     sides = np.sin(np.pi / 12) * 12 / np.pi  # of a polygon of 24 corners, over a circle
-    cylinder, ball = meshes.cylinder(0.5, 3.0), meshes.ellipsoid(np.array([1.0, 2.0, 3.0]))
-    assert volume(meshes.box(np.array([1.0, 2.0, 3.0]))) == pytest.approx(6, rel=1e-12, abs=0)
+    cylinder, ball = solids.cylinder(0.5, 3.0), solids.ellipsoid(np.array([1.0, 2.0, 3.0]))
+    assert volume(solids.box(np.array([1.0, 2.0, 3.0]))) == pytest.approx(6, rel=1e-12, abs=0)
     assert volume(cylinder) == pytest.approx(sides * np.pi * 0.75, rel=1e-12, abs=0)
     assert volume(ball) == pytest.approx(8 * np.pi, rel=0.05)
-    joined = meshes.join([cylinder, meshes.box(np.array([1.0, 2.0, 3.0]))])
+    joined = solids.join([cylinder, solids.box(np.array([1.0, 2.0, 3.0]))])
     assert area(joined) == pytest.approx(area(cylinder) + 22, rel=1e-12, abs=0)
     assert max(np.ptp(joined.corners[list(face)], axis=0).max() for face in joined.faces) <= 0.25 * 3
 
@@ -357,11 +358,11 @@ def test_a_shape_of_triangles_is_drawn_about_its_center_of_mass(tmp_path):
 def test_the_axes_of_a_shape_are_compared_where_moments_differ():
     c, s = np.cos(np.deg2rad(25)), np.sin(np.deg2rad(25))
     R = np.array([[c, -s, 0], [s, c, 0], [0, 0, 1]])
-    solid, zero = meshes.box(np.ones(3)), np.zeros(())
+    solid, zero = solids.box(np.ones(3)), np.zeros(())
 
     def brick(rotation):
         second = rotation @ np.diag([9.0, 4.0, 1.0]) @ rotation.T / 12
-        return meshes.BodyShape("brick", solid, li.shapes.Shape(zero, np.zeros(3), jnp.asarray(second), zero, zero))
+        return solids.BodyShape("brick", solid, li.shapes.Shape(zero, np.zeros(3), jnp.asarray(second), zero, zero))
 
     turned = brick(R)
     assert brick(np.eye(3)).tilt(np.array([1.0, 2.0, 2.5])) == pytest.approx(0, abs=1e-12)

@@ -7,7 +7,7 @@ import pytest
 from scipy.integrate import solve_ivp
 
 import lieint_jax as li
-from lieint_jax.app import plots
+from lieint_jax import plots
 from lieint_jax.app.command import figures
 
 pytestmark = pytest.mark.long

@@ -7,7 +7,8 @@ import numpy as np
 import pytest
 from documents import blocks
 
-from lieint_jax.app import kind, plots, scenarios
+from lieint_jax import plots
+from lieint_jax.app import kind, scenarios
 
 PAGE = (Path(__file__).parents[2] / "docs" / "pages" / "howto" / "kind.md").read_text(encoding="utf-8")
 

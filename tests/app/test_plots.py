@@ -12,9 +12,9 @@ import numpy as np
 import pytest
 
 import lieint_jax as li
-from lieint_jax.app import plots
-from lieint_jax.app.command import pictures
+from lieint_jax import plots
 from lieint_jax.app.studies import gyro
+from lieint_jax.plots import runs
 
 ROOT = Path(li.__file__).parent
 FILES = [path for folder in (ROOT, ROOT.parent / "benchmarks") for path in folder.rglob("*.py")]
@@ -103,7 +103,7 @@ def test_figures_are_saved_in_one_place_and_never_by_pyplot():
 @pytest.mark.long
 def test_the_style_ends_with_the_figure_and_import_changes_nothing(tmp_path):
     code = (
-        "import matplotlib; before = dict(matplotlib.rcParams); from lieint_jax.app import plots;"
+        "import matplotlib; before = dict(matplotlib.rcParams); from lieint_jax import plots;"
         "assert dict(matplotlib.rcParams) == before; print(plots.COLORS[1])"
     )
     assert subprocess.check_output([sys.executable, "-c", code], text=True).strip() == plots.RED
@@ -236,7 +236,7 @@ def test_the_motion_of_a_body_is_drawn_by_the_axis_that_it_spins_about(spin, nam
     body = li.systems.rigid_body([1.0, 2.0, 3.0])
     start = body.state(li.groups.so3.exp(np.array([0.3, -1.0, 0.7])), angular_velocity=spin)
     run = alone(li.schemes.so3_explicit(body), start)
-    fig = pictures.draw_motion(run, "a body")
+    fig = runs.motion(run, "a body")
     assert fig.axes[0].get_title().startswith(f"{name} of the first member")
     [near] = [line for line in fig.axes[0].get_lines() if line.get_label() == "start"]
     axis = np.sign(spin[int(np.argmax(np.abs(spin)))]) * np.eye(3)[int(np.argmax(np.abs(spin)))]
@@ -248,7 +248,7 @@ def test_the_motion_of_a_body_is_drawn_by_the_axis_that_it_spins_about(spin, nam
 def test_the_motion_of_a_body_whose_inertia_changes_is_drawn_by_its_axis_z():
     body = li.systems.inertia_in_time(lambda t: jax.numpy.array([1.0, 2.0, 2.5]) + t)
     run = alone(li.schemes.extrapolate(body, 4), body.state(angular_velocity=[0.1, 0.2, 1.0], t=0.0))
-    fig = pictures.draw_motion(run, "a body")
+    fig = runs.motion(run, "a body")
     assert fig.axes[0].get_title().startswith("body axis z of the first member")
 
 
@@ -256,7 +256,7 @@ def test_the_motion_of_a_body_whose_inertia_changes_is_drawn_by_its_axis_z():
 def test_the_motion_of_a_rod_is_drawn_by_its_shapes():
     """The first of them, in the plane of the longest extent, is that of the start."""
     rod, start, _ = li.systems._rod.examples()["free"]
-    fig = pictures.draw_motion(alone(li.schemes.splitting(rod), start), "a rod")
+    fig = runs.motion(alone(li.schemes.splitting(rod), start), "a rod")
     drawn = {label: ax.get_lines() for ax in fig.axes for label in [ax.get_ylabel()]}
     assert [len(lines) for lines in drawn.values()] == [13, 13]
     along = "xyz".index(fig.axes[1].get_xlabel())
@@ -286,18 +286,18 @@ def test_a_run_that_counts_works_has_a_picture_of_them():
     body = li.systems.torqued_body([1.0, 2.0, 3.0], li.torques.viscous(0.1) + li.torques.pd_trace(0.4, 0.1))
     start = body.state(li.groups.so3.exp(np.array([0.3, -1.0, 0.7])), angular_velocity=[1.0, -2.0, 0.5], works=True)
     run = alone(li.schemes.torqued_midpoint(body), start)
-    kinds = pictures.drawing_functions(run.state)
-    assert set(kinds) == {"invariants", "motion", "works"}
+    kinds = runs.pictures_of(run.state)
+    assert set(kinds) == {"errors", "motion", "works"}
     left, right = kinds["works"](run, "a body").axes
     drawn = {line.get_label(): line.get_ydata() for line in left.get_lines()}
     assert list(drawn) == ["change of energy", "viscous", "pd trace"]
     np.testing.assert_allclose(drawn["viscous"], run.state.extra["works"][:, 0, 0])
     np.testing.assert_allclose(drawn["change of energy"], drawn["viscous"] + drawn["pd trace"], rtol=0, atol=1e-14)
     assert max(np.max(line.get_ydata()) for line in right.get_lines()) < 1e-14
-    errors = pictures.draw_invariants(run, "a body").axes[0]
+    errors = runs.errors(run, "a body").axes[0]
     assert errors.get_ylabel() == "error of energy less work, relative"
     assert max(np.max(line.get_ydata()) for line in errors.get_lines()) < 1e-14
-    assert set(pictures.drawing_functions(run.state._replace(extra=None))) == {"invariants", "motion"}
+    assert set(runs.pictures_of(run.state._replace(extra=None))) == {"errors", "motion"}
 
 
 def apart(labels):

@@ -5,7 +5,8 @@ import pytest
 from scipy.optimize import brentq
 
 import lieint_jax as li
-from lieint_jax.app import plots, scenarios
+from lieint_jax import plots
+from lieint_jax.app import scenarios
 from lieint_jax.app.scenarios import tides
 
 

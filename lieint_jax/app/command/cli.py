@@ -250,7 +250,7 @@ def _files(options: argparse.Namespace) -> None:
 
 
 def _figure(options: argparse.Namespace) -> None:
-    from lieint_jax.app import plots
+    from lieint_jax import plots
     from lieint_jax.app.command import files
     from lieint_jax.app.command import list as listing
     from lieint_jax.app.command.figures import FIGURES

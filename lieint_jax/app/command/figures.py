@@ -11,7 +11,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from lieint_jax.app import plots
+from lieint_jax import plots
 from lieint_jax.diagnostics import delay, energy_error, poisson_error
 from lieint_jax.groups import so3
 from lieint_jax.maps import KAPPAS

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
-from lieint_jax.app import plots
+from lieint_jax import plots
 from lieint_jax.runs import store as archives
 from lieint_jax.runs.store import Address, Url
 

@@ -11,12 +11,13 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from lieint_jax import _checks
-from lieint_jax.app import plots, scenarios
-from lieint_jax.app.command import files, pictures
+from lieint_jax import _checks, plots
+from lieint_jax.app import scenarios
+from lieint_jax.app.command import files
 from lieint_jax.app.printer import readable, show, show_written
 from lieint_jax.app.scenarios._kind import Kind
 from lieint_jax.app.scenarios._runs import POINTS, kinetic_energy, series
+from lieint_jax.plots import runs as pictures
 from lieint_jax.runs import Run
 from lieint_jax.runs import store as archives
 from lieint_jax.runs.store import Address, UnknownNameError, UnreadableError, check_system, step_from_store
@@ -83,7 +84,7 @@ def _plot_any(
 ) -> list[Path]:
     saved = isinstance(run, Trajectory)
     kinds: dict[str, Callable[..., Any]] = (
-        pictures.drawing_functions(run.state) if saved else {"change": pictures.draw_change}
+        pictures.pictures_of(run.state) if saved else {"change": pictures.reduced_change}
     )
     files.check_replaceable(files.pictures(plain, kinds), force)
     if saved:

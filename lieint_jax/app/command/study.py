@@ -11,9 +11,9 @@ from typing import Any, NamedTuple
 import jax
 from matplotlib.figure import Figure
 
-from lieint_jax import _discover
+from lieint_jax import _discover, plots
 from lieint_jax._version import __version__
-from lieint_jax.app import plots, studies
+from lieint_jax.app import studies
 from lieint_jax.app._own_file import import_file
 from lieint_jax.app.command import files, result_file
 from lieint_jax.app.printer import readable, show, show_time, show_written

@@ -17,7 +17,10 @@ from lieint_jax.app.scenarios._files import BodyFile, ShapeFile
 from lieint_jax.app.scenarios._kind import Kind, step_of
 from lieint_jax.app.scenarios._spread import INERTIA
 from lieint_jax.groups import so3
+from lieint_jax.plots.runs import axis_in_space, is_long_axis_mode, spin_axis
 from lieint_jax.types import State, Step
+
+__all__ = ["axis_in_space", "is_long_axis_mode", "spin_axis"]
 
 KAPPAS = {kappa.name: kappa for kappa in maps.KAPPAS}
 
@@ -84,11 +87,6 @@ class TopKind(BodyKind):
         return step_of(top, scheme, self.order, *[kappa] * (scheme == "top_energy_momentum"))
 
 
-def axis_in_space(q: Any, axis: Any) -> np.ndarray:
-    """The directions in space of a body axis, (n, 3), at attitudes (n, 4)."""
-    return np.asarray(jax.vmap(so3.Ad, in_axes=(0, None))(jnp.asarray(q), jnp.asarray(axis)))
-
-
 def direction(longitude: Any, latitude: Any) -> Array:
     """The unit vectors (…, 3) of longitudes and latitudes in rad."""
     c = jnp.cos(latitude)
@@ -105,21 +103,6 @@ def inertia_matrix(body: Any) -> np.ndarray:
     """The inertia of a body or a scenario as a matrix (3, 3), also where it is given by principal moments."""
     J = np.asarray(body.inertia, float)
     return np.diag(J) if J.ndim == 1 else J
-
-
-def is_long_axis_mode(moments: np.ndarray, Pi: np.ndarray) -> bool:
-    """Whether a free body tumbles about its axis of least inertia, |Π|² < 2H J₂, or about that of greatest (Poinsot).
-
-    Its principal moments (3,) are ascending, and Π (3,) is in the principal axes.
-    """
-    return bool((Pi**2).sum() < (Pi**2 / moments).sum() * moments[1])
-
-
-def spin_axis(inertia: np.ndarray, Pi: np.ndarray) -> np.ndarray:
-    """The principal axis (3,) about which a body of an inertia, (3,) or (3, 3), tumbles with the body momentum Π."""
-    moments, axes = np.linalg.eigh(np.diag(inertia) if np.ndim(inertia) == 1 else inertia)
-    axis = axes[:, 0 if is_long_axis_mode(moments, Pi @ axes) else 2]
-    return axis if axis @ Pi >= 0 else -axis
 
 
 class BodySpread(keys.RateSpread, keys.AttitudeSpread):

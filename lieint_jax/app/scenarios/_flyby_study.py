@@ -11,7 +11,7 @@ import numpy as np
 from matplotlib.colors import LogNorm
 from matplotlib.patheffects import withStroke
 
-from lieint_jax.app import plots
+from lieint_jax import plots
 from lieint_jax.app.scenarios import _flyby_motion as motion
 from lieint_jax.app.scenarios._body import longitude_latitude
 from lieint_jax.app.scenarios._flyby_motion import Outcome, Passage, Spin

@@ -12,9 +12,8 @@ import numpy as np
 from matplotlib.figure import Figure
 from pydantic import Field, model_validator
 
-from lieint_jax import _checks, schemes
+from lieint_jax import _checks, plots, schemes
 from lieint_jax._numerics import random_bits
-from lieint_jax.app import plots
 from lieint_jax.app.scenarios import _spread
 from lieint_jax.app.scenarios._keys import Date, PositiveInt, Table, Text, methods
 from lieint_jax.app.scenarios._report import ROUND_OFF, Conserved, Quantity, join_members, text

@@ -16,8 +16,7 @@ import jax.numpy as jnp
 import numpy as np
 from jax import Array
 
-from lieint_jax import measure, potentials, runs, systems
-from lieint_jax.app import plots
+from lieint_jax import measure, plots, potentials, runs, systems
 from lieint_jax.app.scenarios._body import ExtendedBody, MultibodyKind, member_bodies
 from lieint_jax.app.scenarios._keys import DAY, HOUR, NonNegative, NumberSpread, PositiveFloat, Published, Table
 from lieint_jax.app.scenarios._kind import check_order, for_last_run, picture, step_of

@@ -16,8 +16,7 @@ import numpy as np
 from jax import Array
 from pydantic import Field, field_validator
 
-from lieint_jax import measure, potentials, systems
-from lieint_jax.app import plots
+from lieint_jax import measure, plots, potentials, systems
 from lieint_jax.app.scenarios import _keys as keys
 from lieint_jax.app.scenarios._body import BodySpread, ExtendedBody, MultibodyKind, member_bodies
 from lieint_jax.app.scenarios._kind import Kind, check_order, for_last_run, picture, step_of

@@ -10,8 +10,7 @@ import numpy as np
 from jax import Array
 from pydantic import Field
 
-from lieint_jax import measure, orbits, systems
-from lieint_jax.app import plots
+from lieint_jax import measure, orbits, plots, systems
 from lieint_jax.app.scenarios import _body
 from lieint_jax.app.scenarios._body import TopKind, inertia_matrix
 from lieint_jax.app.scenarios._files import Ephemeris, EphemerisOrbit, OrbitFile, given_motion

@@ -6,8 +6,7 @@ from typing import Annotated, Literal
 
 import numpy as np
 
-from lieint_jax import measure, systems
-from lieint_jax.app import plots
+from lieint_jax import measure, plots, systems
 from lieint_jax.app.scenarios._body import TopKind, axis_in_space, inertia_matrix
 from lieint_jax.app.scenarios._keys import Direction, Triple, checked
 from lieint_jax.app.scenarios._kind import check_order, for_last_run, picture

@@ -8,9 +8,8 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from lieint_jax import maps, measure, systems
+from lieint_jax import maps, measure, plots, systems
 from lieint_jax._numerics import random_bits
-from lieint_jax.app import plots
 from lieint_jax.app.scenarios import _keys as keys
 from lieint_jax.app.scenarios._kind import Kind, picture, quantity
 from lieint_jax.app.scenarios._pictures import draw_errors, draw_members, draw_paths

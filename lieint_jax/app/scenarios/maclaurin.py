@@ -9,8 +9,7 @@ import numpy as np
 from jax import Array
 from pydantic import Field
 
-from lieint_jax import measure, systems
-from lieint_jax.app import plots
+from lieint_jax import measure, plots, systems
 from lieint_jax.app.scenarios._kind import Kind, picture
 from lieint_jax.app.scenarios._report import ROUND_OFF, Conserved, change_lines
 from lieint_jax.app.scenarios._runs import length, series

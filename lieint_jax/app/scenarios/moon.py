@@ -17,8 +17,7 @@ import numpy as np
 from jax import Array
 from pydantic import Field
 
-from lieint_jax import _checks, orbits, schemes, systems
-from lieint_jax.app import plots
+from lieint_jax import _checks, orbits, plots, schemes, systems
 from lieint_jax.app.scenarios import _keys as keys
 from lieint_jax.app.scenarios._kind import Kind, for_last_run, picture
 from lieint_jax.app.scenarios._report import paragraphs

@@ -10,9 +10,8 @@ import jax.numpy as jnp
 import numpy as np
 from pydantic import Field
 
-from lieint_jax import _checks, diagnostics, systems
+from lieint_jax import _checks, diagnostics, plots, systems
 from lieint_jax._numerics import random_bits
-from lieint_jax.app import plots
 from lieint_jax.app.scenarios import _keys as keys
 from lieint_jax.app.scenarios._kind import Kind, for_last_run, picture, step_of
 from lieint_jax.app.scenarios._report import ROUND_OFF, Conserved, citation

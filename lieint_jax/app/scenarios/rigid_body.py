@@ -9,8 +9,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from lieint_jax import adjoints, diagnostics, measure, systems
-from lieint_jax.app import plots
+from lieint_jax import adjoints, diagnostics, measure, plots, systems
 from lieint_jax.app.scenarios import _body
 from lieint_jax.app.scenarios._files import ObservationFile
 from lieint_jax.app.scenarios._keys import TINY, Published, Table, Text

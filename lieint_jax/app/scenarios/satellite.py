@@ -12,8 +12,7 @@ import jax.numpy as jnp
 import numpy as np
 from pydantic import field_validator
 
-from lieint_jax import measure, schemes, systems, torques
-from lieint_jax.app import plots
+from lieint_jax import measure, plots, schemes, systems, torques
 from lieint_jax.app.scenarios import _body
 from lieint_jax.app.scenarios import _satellite_laws as equipment
 from lieint_jax.app.scenarios._body import BodyKind, inertia_matrix

@@ -10,8 +10,7 @@ from jax import Array
 from matplotlib.axes import Axes
 from pydantic import Field
 
-from lieint_jax import potentials, schemes, systems, tides
-from lieint_jax.app import plots
+from lieint_jax import plots, potentials, schemes, systems, tides
 from lieint_jax.app.scenarios._keys import DAY, NonNegative, NumberSpread, Pair, PositiveFloat, Published, Table
 from lieint_jax.app.scenarios._kind import Kind, picture
 from lieint_jax.app.scenarios._runs import series, standard_deviation

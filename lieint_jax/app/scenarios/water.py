@@ -10,9 +10,8 @@ import numpy as np
 from jax import Array, lax
 from pydantic import Field
 
-from lieint_jax import measure, potentials, schemes, systems
+from lieint_jax import measure, plots, potentials, schemes, systems
 from lieint_jax._numerics import random_bits
-from lieint_jax.app import plots
 from lieint_jax.app.scenarios._keys import NumberSpread, PositiveFloat, Published, Table
 from lieint_jax.app.scenarios._kind import Kind, picture, step_of
 from lieint_jax.app.scenarios._report import Conserved, citation

@@ -17,8 +17,7 @@ from jax import Array
 from jax.flatten_util import ravel_pytree
 from matplotlib.figure import Figure
 
-from lieint_jax import schemes
-from lieint_jax.app import plots
+from lieint_jax import plots, schemes
 from lieint_jax.app.studies import inference
 from lieint_jax.fitting import Fit, inertia_ratios
 from lieint_jax.fitting.inference import Estimate, Params, Problem, Unknown

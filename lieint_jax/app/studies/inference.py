@@ -12,7 +12,7 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from lieint_jax.app import plots
+from lieint_jax import plots
 from lieint_jax.fitting.inference import *  # noqa: F403  by this path too
 from lieint_jax.fitting.inference import Estimate, Inference, Published, chi_square_point, pull, shares
 

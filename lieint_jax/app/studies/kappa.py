@@ -19,8 +19,7 @@ from jax import Array
 from jax.typing import ArrayLike
 from matplotlib.figure import Figure
 
-from lieint_jax import diagnostics, maps, schemes, systems
-from lieint_jax.app import plots
+from lieint_jax import diagnostics, maps, plots, schemes, systems
 from lieint_jax.app.studies.inference import table
 from lieint_jax.fitting import Fit, fit
 from lieint_jax.runs import integrate

@@ -17,9 +17,8 @@ from jax import Array
 from jax.flatten_util import ravel_pytree
 from matplotlib.figure import Figure
 
-from lieint_jax import diagnostics, schemes, systems
+from lieint_jax import diagnostics, plots, schemes, systems
 from lieint_jax.adjoints import reversible
-from lieint_jax.app import plots
 from lieint_jax.app.studies import inference
 from lieint_jax.fitting import Fit, fit, positive
 from lieint_jax.runs import integrate

@@ -21,8 +21,7 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from lieint_jax import measure
-from lieint_jax.app import plots
+from lieint_jax import measure, plots
 from lieint_jax.app.studies import _satellite_fit, inference
 from lieint_jax.app.studies._satellite_fit import (
     HARMONICS,

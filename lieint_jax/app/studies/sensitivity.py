@@ -20,8 +20,7 @@ import numpy as np
 from jax import Array
 from matplotlib.figure import Figure
 
-from lieint_jax import _discover, diagnostics, schemes, systems
-from lieint_jax.app import plots
+from lieint_jax import _discover, diagnostics, plots, schemes, systems
 from lieint_jax.runs import saves
 from lieint_jax.types import State, Step
 

@@ -22,8 +22,8 @@ from jax.flatten_util import ravel_pytree
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from lieint_jax import orbits
-from lieint_jax.app import plots, scenarios
+from lieint_jax import orbits, plots
+from lieint_jax.app import scenarios
 from lieint_jax.app.scenarios._body import longitude_latitude
 from lieint_jax.app.scenarios.rigid_body import FreeBody
 from lieint_jax.app.studies import _flyby, inference

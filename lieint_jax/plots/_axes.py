@@ -1,15 +1,4 @@
-"""Plots of arrays in the style of this package. A function with an argument `ax` draws on these axes and returns them.
-
-A function that makes a figure is decorated with `style()`, and `save` writes it as PNG and PDF:
-
-    @plots.style()
-    def draw(t, error):
-        fig, axes = plots.figure()
-        plots.log_error(axes[0, 0], t, {"midpoint": error}, "relative energy error", "s")
-        return fig
-
-    plots.save(draw(t, error), Path("error.png"))
-"""
+"""Plots of arrays on axes of matplotlib, in the style of this package."""
 
 from __future__ import annotations
 
@@ -75,8 +64,9 @@ def letter_panels(axes: np.ndarray, titles: Sequence[str]) -> None:
         ax.set_title(f"({letter}) {title}", loc="left")
 
 
-def save(fig: Figure, path: Path) -> list[Path]:
+def save(fig: Figure, path: str | Path) -> list[Path]:
     """Write a figure as PNG at `path`, and as PDF next to it, and return the paths of both files."""
+    path = Path(path)
     with style():
         for _ in range(_LAYOUTS):
             fig.draw_without_rendering()

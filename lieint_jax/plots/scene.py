@@ -10,12 +10,11 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from lieint_jax.app.command import meshes
-from lieint_jax.app.command.meshes import BodyShape, Solid
-from lieint_jax.app.command.pictures import MAX_ROTATION, interpolate_at, rotation_angles, top_axis, unit_of
-from lieint_jax.app.scenarios._body import spin_axis
 from lieint_jax.capabilities import AbstractManyBodies, AbstractRotatingBody
 from lieint_jax.groups import so3
+from lieint_jax.plots import solids as meshes
+from lieint_jax.plots.runs import MAX_ROTATION, interpolate_at, rotation_angles, spin_axis, top_axis, unit_of
+from lieint_jax.plots.solids import BodyShape, Solid
 from lieint_jax.runs import Run
 from lieint_jax.systems import DissipativeRod, ElasticRod
 from lieint_jax.types import Trajectory

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
+from pathlib import Path
 from typing import Any
 
 import jax
@@ -10,16 +11,15 @@ import jax.numpy as jnp
 import numpy as np
 from matplotlib.figure import Figure
 
-from lieint_jax.app import plots
-from lieint_jax.app.scenarios import _pictures
-from lieint_jax.app.scenarios._body import axis_in_space, spin_axis
-from lieint_jax.app.scenarios._runs import POINTS, energy, kinetic_energy, momentum, positive, series
 from lieint_jax.capabilities import AbstractBodyInTime, AbstractManyBodies, AbstractRotatingBody
 from lieint_jax.groups import so3
+from lieint_jax.plots import _axes as plots
+from lieint_jax.plots import _panels
 from lieint_jax.runs import Run, interpolate
 from lieint_jax.systems import LinearPotential
-from lieint_jax.types import State, Trajectory, counts_work, energy_less_work, labels
+from lieint_jax.types import State, Step, Trajectory, counts_work, energy_less_work, labels
 
+POINTS = 4_000  # the largest number of points of a curve
 MAX_ROTATION = 2.6  # rad between saved states: interpolation then has an error of 0.3° (tumbling bodies)
 
 
@@ -53,24 +53,24 @@ def top_axis(system: Any) -> np.ndarray | None:
 _CHORD = np.deg2rad(3)  # largest rotation from one point of a drawn path to the next, where `POINTS` allows it
 
 
-def drawing_functions(states: State) -> dict[str, Callable[[Run, str], Figure]]:
+def pictures_of(states: State) -> dict[str, Callable[[Run, str], Figure]]:
     """The functions that draw a run of a batch with these states under a title, by the suffix of their file names."""
-    works = {"works": draw_works} if "works" in (states.extra or {}) else {}
-    invariants = {"invariants": draw_invariants} if states.p.shape[-1] else {}  # a motion of given rate has none
-    return invariants | {"motion": draw_motion} | works
+    works = {"works": works_of_laws} if "works" in (states.extra or {}) else {}
+    invariants = {"errors": errors} if states.p.shape[-1] else {}  # a motion of given rate has none
+    return invariants | {"motion": motion} | works
 
 
 @plots.style()
-def draw_invariants(run: Run, title: str) -> Figure:
+def errors(run: Run, title: str = "") -> Figure:
     """Plot the errors of energy (less work, if counted) and momentum against time: the worst member and the median."""
-    H, K, Phi = series(energy_less_work, run), series(kinetic_energy, run), series(momentum, run)
+    H, K, Phi = (np.asarray(run.map(f)) for f in (_energy_less_work, _kinetic_energy, _momentum))
     what = "error of energy less work" if counts_work(run.state) else "energy error"
-    errors = {f"{what}, relative": abs(H - H[0]) / positive(np.maximum(abs(H[0]), K.max(axis=0)))}
+    found = {f"{what}, relative": abs(H - H[0]) / _or_one(np.maximum(abs(H[0]), K.max(axis=0)))}
     if Phi.shape[-1]:
         norm = np.linalg.norm(Phi[0], axis=-1)
-        errors["momentum error, relative"] = np.linalg.norm(Phi - Phi[0], axis=-1) / positive(norm)
-    fig, axes = plots.figure(len(errors))
-    for ax, (label, error) in zip(axes[0], errors.items(), strict=True):
+        found["momentum error, relative"] = np.linalg.norm(Phi - Phi[0], axis=-1) / _or_one(norm)
+    fig, axes = plots.figure(len(found))
+    for ax, (label, error) in zip(axes[0], found.items(), strict=True):
         curves = {"worst member": error.max(axis=1), "median": np.median(error, axis=1)}
         plots.log_error(ax, np.asarray(run.t), curves, label, unit_of(run))
     fig.suptitle(title)
@@ -78,21 +78,21 @@ def draw_invariants(run: Run, title: str) -> Figure:
 
 
 @plots.style()
-def draw_works(run: Run, title: str) -> Figure:
+def works_of_laws(run: Run, title: str = "") -> Figure:
     """Plot the work of each law of torque, and what is left of the change of energy without it."""
     works = np.asarray((run.state.extra or {})["works"])
     names = labels(run.system)
     if len(names) != works.shape[-1]:
         names = [f"law {k + 1}" for k in range(works.shape[-1])]
-    H = series(energy, run)
+    H = np.asarray(run.map(_energy))
     fig, axes = plots.figure(2)
-    _pictures.draw_balance(axes[0], np.asarray(run.t), H, works, names, time_unit=unit_of(run))
+    _panels.balance(axes[0], np.asarray(run.t), H, works, names, time_unit=unit_of(run))
     fig.suptitle(title)
     return fig
 
 
 @plots.style()
-def draw_motion(run: Run, title: str) -> Figure:
+def motion(run: Run, title: str = "") -> Figure:
     """Plot the motion of the first member: a direction on a sphere, shapes of a chain, centers, or components of q."""
     run = run if run.members is None else run.member(0)
     q = np.asarray(run.state.q)
@@ -103,7 +103,7 @@ def draw_motion(run: Run, title: str) -> Figure:
             fig = _draw_direction(q, "q")
         case (bodies, 7), object(potential=object(chain=True)) if bodies > 1:
             fig, axes = plots.figure(rows=2, size=(8.0, 2.2), sharex=True)
-            _pictures.draw_chain(axes[:, 0], np.asarray(run.t), q[..., :3], "centers of the first member")
+            _panels.chain(axes[:, 0], np.asarray(run.t), q[..., :3], "centers of the first member")
         case (_, 7), _:
             fig = _draw_centers(q[..., :3])
         case _:
@@ -181,8 +181,22 @@ def _draw_components(run: Run, q: np.ndarray) -> Figure:
     return fig
 
 
+def overview(run: Run, path: str | Path, title: str = "") -> list[Path]:
+    """Draw the errors, the motion and the works of laws of a run, and return the files PATH-*.png and .pdf.
+
+    Args:
+        run: the run; of one body or of many.
+        path: the beginning of the names of the files; an ending, such as that of a store, is left out.
+        title: the title of the pictures.
+    """
+    path, drawn = Path(path), list[Path]()
+    for name, picture in pictures_of(run.state).items():
+        drawn += plots.save(picture(run, title), path.with_name(f"{path.stem}-{name}.png"))
+    return drawn
+
+
 @plots.style()
-def draw_change(reduced: Mapping[str, np.ndarray], title: str, time_unit: str) -> Figure:
+def reduced_change(reduced: Mapping[str, np.ndarray], title: str, time_unit: str) -> Figure:
     """Plot the least, mean and greatest change of the reduced quantity against time, or its values over the members."""
     fig, axes = plots.figure()
     fig.suptitle(title)
@@ -200,3 +214,48 @@ def draw_change(reduced: Mapping[str, np.ndarray], title: str, time_unit: str) -
 def unit_of(run: Run) -> str:
     """The unit of a run's times; empty if there is none."""
     return "" if run.facts.time_unit == "1" else run.facts.time_unit
+
+
+def _or_one(size: np.ndarray) -> np.ndarray:
+    """Sizes to which changes are relative, 1 in place of 0."""
+    return np.where(size > 0, size, 1.0)
+
+
+def _energy(step: Step, state: State) -> Any:
+    return step.system.energy(state)
+
+
+def _energy_less_work(step: Step, state: State) -> Any:
+    return energy_less_work(step.system, state)
+
+
+def _kinetic_energy(step: Step, state: State) -> Any:
+    """The kinetic energy, or 0: a size for errors of an energy that may itself be 0."""
+    system: Any = step.system
+    if hasattr(system, "kinetic_energy"):
+        return system.kinetic_energy(state)
+    return jnp.zeros_like(system.energy(state))
+
+
+def _momentum(step: Step, state: State) -> Any:
+    return step.system.momentum(state)
+
+
+def axis_in_space(q: Any, axis: Any) -> np.ndarray:
+    """The directions in space of a body axis, (n, 3), at attitudes (n, 4)."""
+    return np.asarray(jax.vmap(so3.Ad, in_axes=(0, None))(jnp.asarray(q), jnp.asarray(axis)))
+
+
+def is_long_axis_mode(moments: np.ndarray, Pi: np.ndarray) -> bool:
+    """Whether a free body tumbles about its axis of least inertia, |Π|² < 2H J₂, or about that of greatest (Poinsot).
+
+    Its principal moments (3,) are ascending, and Π (3,) is in the principal axes.
+    """
+    return bool((Pi**2).sum() < (Pi**2 / moments).sum() * moments[1])
+
+
+def spin_axis(inertia: np.ndarray, Pi: np.ndarray) -> np.ndarray:
+    """The principal axis (3,) about which a body of an inertia, (3,) or (3, 3), tumbles with the body momentum Π."""
+    moments, axes = np.linalg.eigh(np.diag(inertia) if np.ndim(inertia) == 1 else inertia)
+    axis = axes[:, 0 if is_long_axis_mode(moments, Pi @ axes) else 2]
+    return axis if axis @ Pi >= 0 else -axis

@@ -1,0 +1,114 @@
+"""Every example is a script that can be copied, and prints for the nominal member what was kept of it."""
+
+import ast
+import importlib
+import inspect
+import pkgutil
+import re
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from lieint_jax import examples
+
+NAMES = sorted(module.name for module in pkgutil.iter_modules(examples.__path__))
+KEPT = Path(__file__).parents[1] / "data" / "snapshots"
+ARGUMENTS = {"toutatis_takahashi": ("toutatis", "--start", "takahashi")}  # scripts with options, by the kept reports
+FEW = {"pluto_charon": 1, "driven": 1}  # members; further ones of `driven` move chaotically
+ROW = re.compile(r"^  (\S.*?)(?:  +| +(?=[-−]?\d+\.\d{4}))([-−]?\d+\.\d+(?:e[-+]\d+)?)(?:  |$)")
+COMPARED = [name for name in (*NAMES, *ARGUMENTS) if (KEPT / f"run-{name}.txt").exists() and name != "maclaurin"]
+
+
+def nominal_values(text):
+    """The values of the nominal member in the table of a report, by the names of its rows."""
+    found, inside = {}, False
+    for line in text.splitlines():
+        if "nominal" in line.split():
+            inside = True
+        elif inside and (row := ROW.match(line)):
+            found[" ".join(row[1].split())] = row[2].replace("−", "-")
+        elif inside and not line.strip():
+            inside = False
+    return found
+
+
+def is_same(found, kept):
+    """Whether two numbers differ by at most a millionth, or by one unit of the last digit of the one that was kept."""
+    mantissa, _, exponent = kept.partition("e")
+    last = 10.0 ** (int(exponent or 0) - len(mantissa.partition(".")[2]))
+    if max(abs(float(found)), abs(float(kept))) < 1e-9:  # of rounding, which differs between processors
+        return True
+    return abs(float(found) - float(kept)) <= max(1e-6 * abs(float(kept)), 1.01 * last)
+
+
+def source(name):
+    return Path(examples.__path__[0], f"{name}.py")
+
+
+def run(name, folder, *arguments):
+    command = [sys.executable, "-m", f"lieint_jax.examples.{name}", *arguments]
+    return subprocess.run(command, capture_output=True, text=True, cwd=folder, timeout=600, check=False)
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_an_example_is_a_script_on_public_names(name):
+    nodes = list(ast.walk(ast.parse(source(name).read_text(encoding="utf-8"))))
+    imported = [node.module or "" for node in nodes if isinstance(node, ast.ImportFrom)]
+    assert not any(module.startswith("lieint_jax") for module in imported), "write `import lieint_jax as li`"
+    assert not [node.attr for node in nodes if isinstance(node, ast.Attribute) and node.attr.startswith("_")]
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_an_example_explains_itself_and_its_arguments(name):
+    module = importlib.import_module(f"lieint_jax.examples.{name}")
+    title = module.__doc__.splitlines()[0]
+    assert title.endswith(".")
+    assert ":" in title
+    parameters, about = inspect.signature(module.main).parameters, inspect.getdoc(module.main)
+    for parameter in parameters.values():
+        assert parameter.annotation is not parameter.empty
+        assert parameter.default is not parameter.empty
+        assert re.search(rf"^    {parameter.name}: ", about, re.M), f"{parameter.name} is not explained"
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_importing_an_example_does_not_choose_a_precision(name):
+    body = ast.parse(source(name).read_text(encoding="utf-8")).body
+    assert not any("config" in ast.unparse(node) for node in body if not isinstance(node, ast.FunctionDef))
+    [main] = [node for node in body if isinstance(node, ast.FunctionDef) and node.name == "main"]
+    assert ast.unparse(main.body[1]) == "jax.config.update('jax_enable_x64', True)"
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("kept", COMPARED)
+def test_nominal_values_are_those_that_were_kept(kept, tmp_path):
+    name, *options = ARGUMENTS.get(kept, (kept,))
+    arguments = inspect.signature(importlib.import_module(f"lieint_jax.examples.{name}").main).parameters
+    few = {"members": ("--members", str(FEW.get(kept, 3)))}
+    few |= {"pictures": ("--no-pictures",), "certificate": ("--no-certificate",)}
+    options += [word for argument, words in few.items() if argument in arguments for word in words]
+    done = run(name, tmp_path, *options)
+    assert done.returncode == 0, done.stderr
+    wanted, found = nominal_values((KEPT / f"run-{kept}.txt").read_text(encoding="utf-8")), nominal_values(done.stdout)
+    assert wanted
+    for row, value in wanted.items():
+        assert is_same(found.get(row, "nan"), value), f"{row}, kept as {value}, in\n{done.stdout}"
+
+
+def rows_of_rates(text):
+    """The numbers of each row whose last one is the difference of a rate from the closed form."""
+    rows = [line for line in text.splitlines() if line.endswith("e-08")]
+    return [re.findall(r"[-+]?\d\.\d+(?:e-\d+)?", line) for line in rows]
+
+
+@pytest.mark.long
+def test_rates_of_bars_are_those_that_were_kept(tmp_path):
+    """The table of `maclaurin`: eccentricities, rates measured and in closed form, and their differences to a digit."""
+    done = run("maclaurin", tmp_path, "--members", "3", "--no-pictures", "--no-certificate")
+    kept = (KEPT / "run-maclaurin.txt").read_text(encoding="utf-8")
+    wanted, found = (rows_of_rates(text) for text in (kept, done.stdout))
+    assert len(wanted) == 6
+    for line, numbers in zip(found, wanted, strict=True):
+        assert all(is_same(a, b) for a, b in zip(line, numbers, strict=True)), (line, numbers)
