@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 
 from lieint_jax.measure._series import mean_rate
@@ -36,14 +38,17 @@ def mean_ellipse(t: np.ndarray, longitude: np.ndarray, e: np.ndarray, eps: float
         times, along, vectors = _means(t, longitude, e, rate)
         if len(times) < _FEWEST or not abs(change * t[-1]) > 4 * np.finfo(float).eps:
             break
-    mean = vectors.mean() if len(vectors) else np.zeros(())
-    size, scatter = abs(mean), abs(vectors - mean)
-    if len(times) < _FEWEST or not size > max(np.sqrt(np.mean(scatter**2)), _ROUNDINGS * eps * np.sqrt(len(t))):
-        return (motion, size, *_NOTHING[2:])
-    centered = times - times.mean()
-    relative = vectors / mean - 1  # along the mean vector and across it
-    errors = size * _deviation(relative.real) / len(times), _deviation(centered * relative.imag) / (centered @ centered)
-    return (float(mean_rate(times, along)), size, rate, *errors)
+    least = _ROUNDINGS * eps * np.sqrt(len(t))
+    if len(times) < _FEWEST or not abs(vectors.mean()) > max(np.std(vectors), least):
+        vectors = _means(t, longitude, e, 0.0)[2]
+        return motion, abs(vectors.mean()), np.nan, float(np.std(vectors) / np.sqrt(len(vectors) - 1)), np.nan
+    size, relative = abs(vectors.mean()), vectors / vectors.mean() - 1  # along the mean vector and across it
+    one, centered = np.ones(len(times)), times - times.mean()
+    of_size = size * _deviation(relative.real, one, [one]) / len(times)
+    of_rate = _deviation(relative.imag, centered, [one, centered]) / (centered @ centered)
+    motion = float(mean_rate(times, along))
+    rounding = eps * (abs(motion) + 1 / (size * np.ptp(t)))
+    return motion, size, rate, of_size, float(np.hypot(of_rate, rounding))
 
 
 def _means(t: np.ndarray, longitude: np.ndarray, e: np.ndarray, rate: float) -> tuple[np.ndarray, ...]:
@@ -68,9 +73,17 @@ def _means(t: np.ndarray, longitude: np.ndarray, e: np.ndarray, rate: float) -> 
     return times, along, x + 1j * y
 
 
-def _deviation(x: np.ndarray) -> float:
-    """The standard deviation of the sum of n residuals of a line, which are correlated with up to √n neighbors."""
+def _deviation(x: np.ndarray, weight: np.ndarray, fitted: Sequence[np.ndarray]) -> float:
+    """The standard deviation of weight·x of residuals x, (n,), each correlated with up to √n neighbors.
+
+    The x are what a fit of the orthogonal series `fitted` leaves of noise, and are scaled up by what it takes from the
+    result if the noise is white.
+    """
     n = len(x)
     reach = int(np.sqrt(n))
-    variance = x @ x + 2 * sum((1 - k / (reach + 1)) * (x[k:] @ x[:-k]) for k in range(1, reach + 1))
-    return float(np.sqrt(max(variance, 0) * n / (n - 2)))
+
+    def square(y: np.ndarray) -> float:
+        return y @ y + 2 * sum((1 - k / (reach + 1)) * (y[k:] @ y[:-k]) for k in range(1, reach + 1))
+
+    left = 1 - sum(square(weight * f) / (f @ f) for f in fitted) / (weight @ weight)
+    return float(np.sqrt(square(weight * x) / left))
