@@ -25,7 +25,7 @@ import numpy as np
 from jax import Array
 
 from lieint_jax.groups import so3
-from lieint_jax.measure._light import glossy_brightness
+from lieint_jax.measure._light import check_facets, glossy_brightness
 from lieint_jax.shapes import GlossyFacets
 
 __all__ = [
@@ -159,6 +159,7 @@ def _axis_rotations() -> np.ndarray:
 
 def is_light_symmetry(facets: GlossyFacets, rotation: np.ndarray) -> bool:
     """Whether a rotation or reflection of the body, (3, 3), maps its facets to facets that send the same light."""
+    check_facets(facets, GlossyFacets)
     normals, areas = np.asarray(facets.normals), np.asarray(facets.areas)
     surfaces = np.stack([facets.diffuse, facets.specular, facets.exponent], axis=1)
     for n in np.concatenate([normals, normals @ rotation.T]):
