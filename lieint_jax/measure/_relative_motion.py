@@ -23,6 +23,7 @@ from lieint_jax.measure._series import unwrapped
 from lieint_jax.measure._spectrum import line
 from lieint_jax.measure._states import angular_momentum, count_bodies, longitude, series_of, times_of
 from lieint_jax.phase_spaces import frame
+from lieint_jax.potentials import PolyhedronGravity, SumPotential
 from lieint_jax.runs import Run
 from lieint_jax.types import State, Step, vectors
 from lieint_jax.types.shapes import Vector3
@@ -117,6 +118,15 @@ def _relative(system: AbstractManyBodies, state: State, first: Array | int, seco
     return x[second] - x[first], v[second] - v[first]
 
 
+def _gravity(potential: object) -> Array | None:
+    """The constant of gravity of a potential, or of the one term of a sum that has one; None if it has none."""
+    if isinstance(potential, SumPotential):
+        found = [G for G in map(_gravity, potential.terms) if G is not None]
+        return found[0] if len(found) == 1 else None
+    owner = potential.polyhedron if isinstance(potential, PolyhedronGravity) else potential
+    return getattr(owner, "G", None)
+
+
 def _motion_at(
     first: Array, second: Array, step: Step, state: State
 ) -> tuple[dict[str, Array], Array, dict[str, Array]]:
@@ -130,7 +140,8 @@ def _motion_at(
     spins = jnp.sum(jax.vmap(so3.Ad)(q, Omega) * up, axis=1)
     Gamma = so3.Ad_star(q[1], d)
     about_up = partial(longitude, up)
-    mu = getattr(system.potential, "G", jnp.nan) * (system.masses[first] + system.masses[second])  # pyright: ignore
+    G = _gravity(system.potential)  # pyright: ignore[reportAttributeAccessIssue]
+    mu = (jnp.nan if G is None else G) * (system.masses[first] + system.masses[second])  # pyright: ignore
     ellipse, in_plane, mean_motion = _ellipse(mu, d, v, normal, up)
     found = {
         "distance": vectors.norm(d),
@@ -300,7 +311,7 @@ def pair_energies(run: Run) -> PairEnergies:
         ValueError: the run is not of two bodies, or its potential has no `G`.
     """
     bodies, potential = count_bodies(run), getattr(run.system, "potential", None)
-    if bodies != 2 or not hasattr(potential, "G"):
+    if bodies != 2 or _gravity(potential) is None:
         raise ValueError(
             "pair_energies needs a run of two bodies under gravity, such as potentials.maccullagh(G, …), got "
             f"{bodies} in {potential!r}"
@@ -311,7 +322,7 @@ def pair_energies(run: Run) -> PairEnergies:
 def _energies_at(step: Step, state: State) -> PairEnergies:
     system = step.system
     m, (d, v) = system.masses, _relative(system, state, 0, 1)  # pyright: ignore
-    points = system.potential.G * m[0] * m[1] / vectors.norm(d)  # pyright: ignore
+    points = _gravity(system.potential) * m[0] * m[1] / vectors.norm(d)  # pyright: ignore
     Pi = jax.vmap(so3.Ad_star)(state.q[:, 3:], state.p[:, 3:])
     spins = jnp.sum(Pi * system.angular_velocities(state), axis=1) / 2  # pyright: ignore
     orbit = m[0] * m[1] / (m[0] + m[1]) * vectors.dot(v, v) / 2 - points

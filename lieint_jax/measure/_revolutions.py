@@ -6,7 +6,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from lieint_jax.measure._series import mean_rate
+from lieint_jax.measure._series import mean_rate, slope_weights
 
 __all__ = ["mean_ellipse"]
 
@@ -45,7 +45,8 @@ def mean_ellipse(t: np.ndarray, longitude: np.ndarray, e: np.ndarray, eps: float
     size, relative = abs(vectors.mean()), vectors / vectors.mean() - 1  # along the mean vector and across it
     one, centered = np.ones(len(times)), times - times.mean()
     of_size = size * _deviation(relative.real, one, [one]) / len(times)
-    of_rate = _deviation(relative.imag, centered, [one, centered]) / (centered @ centered)
+    across = relative.imag - relative.imag.mean() - (relative.imag @ centered) / (centered @ centered) * centered
+    of_rate = _deviation(across, slope_weights(times), [one, centered])
     motion = float(mean_rate(times, along))
     rounding = eps * (abs(motion) + 1 / (size * np.ptp(t)))
     return motion, size, rate, of_size, float(np.hypot(of_rate, rounding))

@@ -85,16 +85,20 @@ def mean_rate(t: ArrayLike | Array, angle: ArrayLike | Array) -> np.ndarray | Ar
         _check_shapes(t, angle)
     else:
         xp, (t, angle) = np, series(t, angle)
-    n = len(t)
     with np.errstate(invalid="ignore", divide="ignore"):
-        reach = (t.max() - t.min()) / 2 * (n / max(n - 1, 1))  # so that the window is not 0 at both ends
-        s = (t - (t.max() + t.min()) / 2) / reach
-        window = 1 + xp.cos(np.pi * s)
-        weight = window / window.sum()
-        centered = s - weight @ s
-        columns = angle.reshape(n, -1)
-        slope = (weight * centered) @ (columns - weight @ columns) / ((weight * centered) @ centered)
-        return slope.reshape(angle.shape[1:]) / reach
+        weights, columns = slope_weights(t, xp), angle.reshape(len(t), -1)
+        return (weights @ (columns - columns.mean(axis=0))).reshape(angle.shape[1:])
+
+
+def slope_weights(t: Any, xp: Any = np) -> Any:
+    """The factors (times,) whose product with a series is the slope of its line under Hann's window; they add up to 0."""
+    n = len(t)
+    reach = (t.max() - t.min()) / 2 * (n / max(n - 1, 1))  # so that the window is not 0 at both ends
+    s = (t - (t.max() + t.min()) / 2) / reach
+    window = 1 + xp.cos(np.pi * s)
+    weight = window / window.sum()
+    centered = s - weight @ s
+    return weight * centered / ((weight * centered) @ centered) / reach
 
 
 def is_librating(angle: ArrayLike, bound: float = np.pi / 2) -> np.ndarray:
