@@ -155,7 +155,9 @@ def double_periods(
         )
     step = float(1 / (_PER_RESOLUTION * np.ptp(t))) if step is None else step
     if not (0 <= low < high < np.inf and separation >= 0 and 0 < step < np.inf):
-        raise ValueError(f"0 ≤ low < high, separation ≥ 0 and step > 0 are needed, got {low}, {high}, {separation}, {step}")
+        raise ValueError(
+            f"0 ≤ low < high, separation ≥ 0 and step > 0 are needed, got {low}, {high}, {separation}, {step}"
+        )
     if (high - low) / step > _MOST:
         raise ValueError(
             f"from {low:g} to {high:g} there are {(high - low) / step:.3g} frequencies in steps of {step:g}, more than "
@@ -181,7 +183,9 @@ def _finite_series(t: ArrayLike, x: ArrayLike) -> tuple[np.ndarray, np.ndarray]:
     """Times and values, (times,), checked."""
     t, y = series(t, x)
     if y.ndim != 1 or not np.isfinite(y).all():
-        raise ValueError(f"x must be finite, (times,), got shape {y.shape}, {np.sum(~np.isfinite(y))} values not finite")
+        raise ValueError(
+            f"x must be finite, (times,), got shape {y.shape}, {np.sum(~np.isfinite(y))} values not finite"
+        )
     return t, np.ldexp(y, -np.frexp(np.max(abs(y)))[1])  # of size 1: its square is in range
 
 

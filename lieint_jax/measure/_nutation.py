@@ -146,7 +146,9 @@ def _measure(h: float, rows: np.ndarray, eps: float) -> tuple[float, float, floa
         x, y = (np.concatenate([z, high.value(z, dz), low.value(z, dz)]) for z, dz in ((x, dx), (y, dy)))
         order = np.argsort(at)
         phi = np.empty(len(at))
-        phi[order] = np.unwrap(np.arctan2(y, x)[order])  # also of an axis that nearly passes through γ between two saves
+        phi[order] = np.unwrap(
+            np.arctan2(y, x)[order]
+        )  # also of an axis that nearly passes through γ between two saves
         duration = h * (at[-1] - at[-len(lowest)])
         period = abs(duration) / (len(lowest) - 1)
         if np.hypot(x, y).min() > math.sqrt(eps):

@@ -160,9 +160,7 @@ def _motion_at(
     return found, in_plane, rates
 
 
-def _ellipse(
-    mu: Array, d: Vector3, v: Vector3, normal: Vector3, up: Vector3
-) -> tuple[dict[str, Array], Array, Array]:
+def _ellipse(mu: Array, d: Vector3, v: Vector3, normal: Vector3, up: Vector3) -> tuple[dict[str, Array], Array, Array]:
     """The ellipse of an instant, the longitude of d after the rotation of its plane, and the mean motion.
 
     The mean longitude is computed without e and the pericenter, of which a circle has none: λ = θ − (ν − E) − e sin E,
@@ -189,7 +187,11 @@ def _ellipse(
     along, across = 1 - r / a, vectors.dot(d, v) / root  # e cos E, e sin E
     theta = in_plane(d)
     mean = theta - sense * (2 * jnp.arctan2(across, 1 + size / root - along) + across)
-    return {"eccentricity": vectors.norm(e), "pericenter": in_plane(e), "mean_longitude": mean}, theta, sense * root / a**2
+    return (
+        {"eccentricity": vectors.norm(e), "pericenter": in_plane(e), "mean_longitude": mean},
+        theta,
+        sense * root / a**2,
+    )
 
 
 class Apsides(NamedTuple):

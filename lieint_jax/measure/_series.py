@@ -36,7 +36,9 @@ def series(t: ArrayLike, x: ArrayLike, kinds: str = "biuf") -> tuple[np.ndarray,
 
 def _check_shapes(t: Any, x: Any) -> None:
     if t.ndim != 1 or not t.size or x.shape[:1] != t.shape:
-        raise ValueError(f"the times must be (times,), one or more, and the series (times, …), got {t.shape}, {x.shape}")
+        raise ValueError(
+            f"the times must be (times,), one or more, and the series (times, …), got {t.shape}, {x.shape}"
+        )
 
 
 def _limit(limit: ArrayLike) -> np.ndarray:

@@ -233,7 +233,13 @@ def periodogram(
     t, x = numbers("the times", t), numbers("the series", x)
     n = t.size
     sigma = np.ones(n) if errors is None else numbers("errors", errors)
-    if n < 5 or t.ndim != 1 or x.shape[:1] != (n,) or sigma.shape != (n,) or not (np.isfinite([t, sigma]).all() and (sigma > 0).all()):
+    if (
+        n < 5
+        or t.ndim != 1
+        or x.shape[:1] != (n,)
+        or sigma.shape != (n,)
+        or not (np.isfinite([t, sigma]).all() and (sigma > 0).all())
+    ):
         raise ValueError(
             "t (times,) must hold at least 5 finite times, x be (times, …), and errors positive and finite, (times,); "
             f"got shapes {t.shape}, {x.shape}, {sigma.shape}"

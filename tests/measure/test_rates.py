@@ -53,7 +53,9 @@ class Revolving(li.types.Step):
 
     def at(self, t, state):
         x, v = jax.jvp(lambda t: positions(t, self.e, self.k), (t,), (jnp.ones_like(t),))
-        q, p = (jnp.concatenate([now, old[:, 3:]], axis=1) for now, old in ((x, state.q), (MASSES[:, None] * v, state.p)))
+        q, p = (
+            jnp.concatenate([now, old[:, 3:]], axis=1) for now, old in ((x, state.q), (MASSES[:, None] * v, state.p))
+        )
         return state._replace(q=q, p=p)
 
 
@@ -109,7 +111,11 @@ def test_rates_of_orbits_that_rest_and_precess(orbits):
         ("line", 2 * np.pi * measure.line(t, motion.distance, 0.1, 0.2).frequency - n, 5e-8),
         ("periodogram", 2 * np.pi * (frequencies[power.argmax(axis=0)] - 1 / (2 * np.pi)), 2e-3),
         ("sines", 2 * np.pi * np.array(first) - n, 2e-3),
-        ("spectrum", 2 * np.pi * measure.spectrum(t, motion.distance).frequency[amplitude.argmax(axis=0)] - n, 0.6 / 40),
+        (
+            "spectrum",
+            2 * np.pi * measure.spectrum(t, motion.distance).frequency[amplitude.argmax(axis=0)] - n,
+            0.6 / 40,
+        ),
         ("complex_rates", np.array(turning) - n, 1e-12),
     ):
         np.testing.assert_allclose(rate, 0, rtol=0, atol=tolerance, err_msg=name)
@@ -196,7 +202,12 @@ def test_a_symmetric_body_has_its_rates_of_precession_and_rotation():
     for J3 in (0.4, 1.7):
         body = li.systems.rigid_body([1.0, 1.0, J3])
         run = li.run(
-            li.schemes.exact(body), body.state(angular_velocity=[0.3, 0.0, 1.1]), 0.11, 900, save_every=3, progress=False
+            li.schemes.exact(body),
+            body.state(angular_velocity=[0.3, 0.0, 1.1]),
+            0.11,
+            900,
+            save_every=3,
+            progress=False,
         )
         found, size = measure.periods(run), np.hypot(0.3, J3 * 1.1)
         np.testing.assert_allclose(2 * np.pi / found.precession, size, rtol=1e-12)
