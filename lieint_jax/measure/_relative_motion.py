@@ -200,7 +200,7 @@ class Apsides(NamedTuple):
     Attributes:
         period: 2π over the mean rate of the longitude, > 0.
         anomalistic_period: the mean time from pericenter to pericenter, > 0.
-        eccentricity: the length of Laplace's vector, averaged over revolutions in axes that precess with it.
+        eccentricity: the length of Laplace's vector, averaged over revolutions in axes that follow it.
         precession_rate: the mean rate of the pericenter about L, in radians per unit of time.
         eccentricity_error, precession_error: their standard errors.
     """

@@ -16,7 +16,7 @@ _SHORT = 16  # the most numbers of an array, and parts of a collection, that a d
 
 
 def short_text(value: Any) -> str:
-    """A value in one line: arrays of up to 16 numbers to six digits; the type and the shape of a longer one or a tracer.
+    """A value in one line: arrays of up to 16 numbers to six digits; type and shape of a longer one or a tracer.
 
     Longer collections are counted, and functions with arguments are shown by these.
     """

@@ -111,7 +111,6 @@ def test_laws_systems_and_steps_print_in_a_short_line():
     facets = li.shapes.ellipsoid_facets([1.0, 2.0, 3.0], 6)
     for x in (field, law, body, li.schemes.torqued_midpoint(body), many, li.schemes.splitting(many), mesh, facets):
         text = repr(x)
-        print(text)
         assert text.startswith(f"{type(x).__name__}(")
         assert len(text) < 700
         assert "\n" not in text

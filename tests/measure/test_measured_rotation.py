@@ -80,7 +80,7 @@ def test_a_longitude_of_a_pole_is_below_a_whole_revolution():
     """Also an angle that is so little below 0 that with 2π it would be 2π; without rotation both angles are 0."""
     body = li.systems.rigid_body([1.0, 2.0, 3.0])
     Pi = jnp.array([[1.0, -1e-17, 0.0], [1.0, -1e-30, 1.0], [-1.0, -1e-17, 0.0], [0.0, -1.0, 0.0], [0.0, 0.0, 0.0]])
-    found = measure.pole(go(li.schemes.exact(body), jax.vmap(lambda p: body.state(momentum=p))(Pi), 0.1, 0))
+    found = measure.pole(go(li.schemes.exact(body), jax.vmap(lambda p: body.state(spatial_momentum=p))(Pi), 0.1, 0))
     np.testing.assert_allclose(found.longitude[0], [0, 0, np.pi, 1.5 * np.pi, 0], rtol=1e-15)
     np.testing.assert_allclose(found.latitude[0], [0, np.pi / 4, 0, 0, 0], rtol=1e-15)
 

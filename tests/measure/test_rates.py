@@ -1,6 +1,6 @@
 """Every function of `measure` that returns a rate or a period, of motions whose rates are known exactly.
 
-Orbits are an ellipse at rest and one that precesses: Newton's theorem of revolving orbits (Principia I, prop. 44). Under
+Orbits are an ellipse at rest and one that precesses: Newton's theorem of revolving orbits (Principia I, 44). Under
 an additional force h/r³ the distance is that of Kepler's motion with k times the angular momentum, k² = 1 + h/L², and
 the angle is the true anomaly over k, so the line of apsides precesses at n(1/k − 1). Their states are closed forms.
 """
@@ -166,7 +166,7 @@ def test_a_circle_and_an_orbit_of_noise_have_no_apsides():
 
 
 def test_a_pendulum_has_its_rates_in_a_plane_on_a_cone_and_between():
-    """In a plane the inclination has half the period 4K(sin²½θ)/ω of the swing, and the azimuth has no rate. Nearly in a
+    """In a plane the inclination has half the period 4K(sin²½θ)/ω of the swing, and the azimuth no rate. Nearly in a
     plane it advances by half a revolution in each such period. On a cone it rotates at √(g/l cos θ)."""
     bob, angle = li.systems.pendulum(1.0, 2.0, [0.0, 0.0, -1.0]), 1.1
     start, cone = [np.sin(angle), 0, -np.cos(angle)], np.sqrt(2.0 / np.cos(angle))
