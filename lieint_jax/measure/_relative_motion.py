@@ -130,7 +130,7 @@ def _gravity(potential: object) -> Array | None:
 def _motion_at(
     first: Array, second: Array, step: Step, state: State
 ) -> tuple[dict[str, Array], Array, dict[str, Array]]:
-    """The angles at one time, in (−π, π], that of d in the plane of the orbit, and the rates of those that circulate."""
+    """The angles at one time, in (−π, π], that of d in the orbit's plane, and the rates of those that circulate."""
     system, (d, v) = step.system, _relative(step.system, state, first, second)  # pyright: ignore[reportArgumentType]
     normal = jnp.stack(vectors.cross(d, v))
     L = angular_momentum(step, state)

@@ -53,7 +53,7 @@ def mean_ellipse(t: np.ndarray, longitude: np.ndarray, e: np.ndarray, eps: float
 
 
 def _means(t: np.ndarray, longitude: np.ndarray, e: np.ndarray, rate: float) -> tuple[np.ndarray, ...]:
-    """Times, longitudes and vectors, in axes that rotate at `rate`, averaged about every whole revolution in these axes.
+    """Times, longitudes and vectors in axes that rotate at `rate`, averaged about each whole revolution there.
 
     By Hann's windows two revolutions wide; those that the run does not fill are left out.
     """
@@ -65,9 +65,10 @@ def _means(t: np.ndarray, longitude: np.ndarray, e: np.ndarray, rate: float) -> 
 
     def sums(x: np.ndarray) -> np.ndarray:
         parts = ((before, 1 - after), (before + 1, after))
-        return sum(np.bincount(k, share * duration * x, int(turns.max()) + 2) for k, share in parts)[1 : int(turns[-1])]
+        first, second = (np.bincount(k, share * duration * x, int(turns.max()) + 2) for k, share in parts)
+        return (first + second)[1 : int(turns[-1])]
 
-    rotated = e * np.exp(-1j * rate * t)
+    rotated: np.ndarray = e * np.exp(-1j * rate * t)
     weight = sums(np.ones(len(t)))
     seen = weight > 0
     times, along, x, y = (sums(x)[seen] / weight[seen] for x in (t, longitude, rotated.real, rotated.imag))
@@ -84,7 +85,7 @@ def _deviation(x: np.ndarray, weight: np.ndarray, fitted: Sequence[np.ndarray]) 
     reach = int(np.sqrt(n))
 
     def square(y: np.ndarray) -> float:
-        return y @ y + 2 * sum((1 - k / (reach + 1)) * (y[k:] @ y[:-k]) for k in range(1, reach + 1))
+        return float(y @ y) + 2 * sum((1 - k / (reach + 1)) * float(y[k:] @ y[:-k]) for k in range(1, reach + 1))
 
     left = 1 - sum(square(weight * f) / (f @ f) for f in fitted) / (weight @ weight)
     return float(np.sqrt(square(weight * x) / left))

@@ -93,7 +93,7 @@ def mean_rate(t: ArrayLike | Array, angle: ArrayLike | Array) -> np.ndarray | Ar
 
 
 def slope_weights(t: Any, xp: Any = np) -> Any:
-    """The factors (times,) whose product with a series is the slope of its line under Hann's window; they add up to 0."""
+    """The factors (times,) whose product with a series is the slope of its line under Hann's window; their sum is 0."""
     n = len(t)
     reach = (t.max() - t.min()) / 2 * (n / max(n - 1, 1))  # so that the window is not 0 at both ends
     s = (t - (t.max() + t.min()) / 2) / reach

@@ -135,17 +135,17 @@ def complex_rates(t: ArrayLike, z: ArrayLike, count: int = 2) -> np.ndarray:
         >>> complex_rates(t, np.exp((0.1 + 2j) * t) + np.exp(-1j * t)).round(9).tolist()
         [(2-0.1j), (-1+0j)]
     """
-    spacing, z = even_spacing(t), series(t, z, "biufc")[1]
+    spacing, x = even_spacing(t), series(t, z, "biufc")[1]
     count = _checks.count("count", count, 1)
     found = np.full(count, np.nan + 0j)
-    if z.ndim != 1:
-        raise ValueError(f"z must be (times,), got {z.shape}; call complex_rates for each series")
-    if len(z) < 4 * count or not np.isfinite(z).all() or not z.any():
+    if x.ndim != 1:
+        raise ValueError(f"z must be (times,), got {x.shape}; call complex_rates for each series")
+    if len(x) < 4 * count or not np.isfinite(x).all() or not x.any():
         return found
-    z = z / 2.0 ** (np.frexp(abs(z).max())[1] - 1)  # of size 1, exactly
-    coefficients, terms = _recurrence(z, count)
+    x = x / 2.0 ** (np.frexp(abs(x).max())[1] - 1)  # of size 1, exactly
+    coefficients, terms = _recurrence(x, count)
     if terms < count:
-        coefficients, terms = _recurrence(z, terms)
+        coefficients, terms = _recurrence(x, terms)
     rates = -1j * np.log(np.roots([1, *-coefficients]).astype(complex)) / spacing
     size = np.abs(rates).max() or 1.0
     found[: len(rates)] = sorted(rates, key=lambda rate: (-round(rate.real / size, 6), rate.imag))
@@ -247,23 +247,22 @@ def periodogram(
     duration = np.ptp(t)
     if not duration > 0:
         raise ValueError(f"the times must differ, got {n} times {t[0]:g}")
-    if frequencies is None:
-        frequencies = np.arange(_OVERSAMPLING, (n - 1) / 2 * _OVERSAMPLING) / (_OVERSAMPLING * duration)
-    f = numbers("frequencies", frequencies)
+    default = np.arange(_OVERSAMPLING, (n - 1) / 2 * _OVERSAMPLING) / (_OVERSAMPLING * duration)
+    f = default if frequencies is None else numbers("frequencies", frequencies)
     if f.ndim != 1 or not len(f) or not (f > 0).all() or not np.isfinite(f).all():
         raise ValueError(f"frequencies must be finite and positive, (frequencies,), got {f}; {duration = :g}")
     w = (sigma.min() / sigma) ** 2
     w = w / w.sum()
-    t, columns = t - w @ t, _finite_or_nan(x).reshape(n, math.prod(x.shape[1:]))
+    centered, columns = t - w @ t, _finite_or_nan(x).reshape(n, math.prod(x.shape[1:]))
     columns = np.ldexp(columns, -np.frexp(np.max(abs(columns), axis=0))[1])  # of size 1: their squares are in range
     y = columns - w @ columns
     parts = np.array_split(f, -(-f.size * n // _AT_ONCE))
-    explained = np.concatenate([_explained(part, t, w, y) for part in parts])
+    explained = np.concatenate([_explained(part, centered, w, y) for part in parts])
     variance = w @ (y * y)
     constant = variance <= (ROUNDING * np.max(abs(columns), axis=0)) ** 2
     with np.errstate(invalid="ignore", divide="ignore"):
         power = np.clip(explained / np.where(constant, np.nan, variance), 0, 1).reshape(len(f), *x.shape[1:])
-        width = np.ptp(f) * duration * math.sqrt(4 * math.pi * (w @ (t / duration) ** 2))
+        width = np.ptp(f) * duration * math.sqrt(4 * math.pi * (w @ (centered / duration) ** 2))
         return Periodogram(f, power, _false_alarm_probability(power, n, width))
 
 

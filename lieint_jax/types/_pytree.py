@@ -11,7 +11,7 @@ import jax
 import numpy as np
 
 from lieint_jax._checks import dtype_of, name_of
-from lieint_jax.types._text import fields_text
+from lieint_jax.types.text import fields_text
 
 MYPY = False  # mypy takes this for True
 if MYPY:

@@ -13,7 +13,7 @@ import numpy as np
 from jax import Array
 
 from lieint_jax._checks import concrete, dtype_of
-from lieint_jax.types._text import short_text
+from lieint_jax.types.text import short_text
 from lieint_jax.types._torque import labels as laws_of
 from lieint_jax.types.members import Axis, Run, axes, map_over_run
 from lieint_jax.types.shapes import PyTree

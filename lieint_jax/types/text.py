@@ -10,8 +10,6 @@ import numpy as np
 
 from lieint_jax._checks import concrete, dtype_of
 
-__all__ = ["fields_text", "short_text"]
-
 _SHORT = 16  # the most numbers of an array, and parts of a collection, that a description shows
 
 
