@@ -71,7 +71,7 @@ def _means(t: np.ndarray, longitude: np.ndarray, e: np.ndarray, rate: float) -> 
     rotated: np.ndarray = e * np.exp(-1j * rate * t)
     weight = sums(np.ones(len(t)))
     seen = weight > 0
-    times, along, x, y = (sums(x)[seen] / weight[seen] for x in (t, longitude, rotated.real, rotated.imag))
+    times, along, x, y = (sums(x)[seen] / weight[seen] for x in (t, longitude, np.real(rotated), np.imag(rotated)))
     return times, along, x + 1j * y
 
 

@@ -13,10 +13,10 @@ import numpy as np
 from jax import Array
 
 from lieint_jax._checks import concrete, dtype_of
-from lieint_jax.types.text import short_text
 from lieint_jax.types._torque import labels as laws_of
 from lieint_jax.types.members import Axis, Run, axes, map_over_run
 from lieint_jax.types.shapes import PyTree
+from lieint_jax.types.text import short_text
 
 _BODIES = {  # by the name and the number of components of each body
     ("q", 7): ("pose", ["x", "y", "z", "qw", "qx", "qy", "qz"]),
