@@ -11,6 +11,7 @@ from numpy.typing import ArrayLike
 
 from lieint_jax import _checks
 from lieint_jax.capabilities import AbstractFreeBody, AbstractManyBodies, AbstractRotatingBody
+from lieint_jax.measure._series import mean_rate
 from lieint_jax.measure._states import (
     Directions,
     angles,
@@ -84,7 +85,9 @@ def pole(run: Run) -> Pole:
         ValueError: the system has no angular momentum (3,).
     """
     x, y, z = np.moveaxis(series_of(run, angular_momentum), -1, 0)
-    return Pole(np.arctan2(y, x) % (2 * np.pi), np.arctan2(z, np.hypot(x, y)))
+    along = np.arctan2(y, x)
+    along = np.where(along < 0, along + 2 * np.pi, along)
+    return Pole(np.where(along < 2 * np.pi, along, 0), np.arctan2(z, np.hypot(x, y)))  # −1e-17 + 2π is 2π
 
 
 def rotation_rates(run: Run) -> np.ndarray:
@@ -127,11 +130,11 @@ class MeasuredPeriods(NamedTuple):
 
 
 def periods(run: Run) -> MeasuredPeriods:
-    """The two mean periods of a tumbling free body, from its motion: the angles from the first to the last save.
+    """The two mean periods of a tumbling free body, from its motion: those of the mean rates of two angles.
 
-    They converge like the inverse of the duration to those in closed form of `run.periods()`. There `precession` is
-    that of the long axis in both modes: in the short-axis mode 1/P of the short axis is 1/P + 1/P_rotation of the long
-    one.
+    They converge like `mean_rate`, with the inverse fourth power of the duration, to those in closed form of
+    `run.periods()`. There `precession` is that of the long axis in both modes: in the short-axis mode 1/P of the short
+    axis is 1/P + 1/P_rotation of the long one.
 
     Args:
         run: of a free rigid body.
@@ -160,8 +163,8 @@ def periods(run: Run) -> MeasuredPeriods:
     upright = np.hypot(x[0], y[0]) <= _UPRIGHT * np.finfo(np.asarray(run.state.p).dtype).eps * np.sqrt(square)
 
     def period(angle: np.ndarray) -> np.ndarray:
-        turned = abs(angle[-1] - angle[0])
-        missing = coarse | upright | (turned == 0)
-        return np.where(missing, np.nan, 2 * np.pi * abs(t[-1] - t[0]) / np.where(missing, 1, turned))[()]
+        rate = abs(mean_rate(t, angle))
+        missing = coarse | upright | ~(rate > 0)
+        return np.where(missing, np.nan, 2 * np.pi / np.where(missing, 1, rate))[()]
 
     return MeasuredPeriods(period(phi), period(psi), long)

@@ -8,8 +8,9 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike
 
-from lieint_jax._checks import all_plain, host_array
-from lieint_jax.measure._spectrum import periodogram
+from lieint_jax import _checks
+from lieint_jax.measure._series import series
+from lieint_jax.measure._spectrum import ROUNDING, periodogram
 
 __all__ = [
     "Combination",
@@ -25,6 +26,7 @@ __all__ = [
 
 _PER_RESOLUTION = 4  # default frequencies of a pair per resolution, 1/duration
 _RIDGE = 1e-6  # relative, added to the diagonal: some combinations of two frequencies may coincide
+_MOST = 5000  # frequencies of a band, whose pairs are tried
 _AT_ONCE = 2000  # pairs of frequencies whose series are fitted together
 
 
@@ -72,10 +74,14 @@ def sines(t: ArrayLike, x: ArrayLike, frequencies: ArrayLike, count: int) -> lis
         t: times, (times,), in any order.
         x: the series, (times,).
         frequencies: those that are tried, > 0, (frequencies,), some per resolution 1/duration.
-        count: the number of sines.
+        count: the largest number of sines, ≥ 1.
+
+    Returns:
+        Fewer than `count` where they leave nothing but round-off, or no more data than unknowns; none of a constant.
 
     Raises:
-        ValueError: times or values that are not finite, or not as many of both.
+        ValueError: times or values that are not finite, or not as many of both; frequencies that are not positive; a
+            `count` that is no integer ≥ 1.
 
     Example:
         >>> t = np.sort(np.random.default_rng(0).uniform(0, 100, 200))
@@ -87,14 +93,18 @@ def sines(t: ArrayLike, x: ArrayLike, frequencies: ArrayLike, count: int) -> lis
     """
     t, y = _finite_series(t, x)
     found: list[Sine] = []
-    rest, unexplained = y, 1.0
-    for _ in range(count):
+    rest, unexplained, least = y, 1.0, ROUNDING * np.max(abs(y))
+    for _ in range(_checks.count("count", count, 1)):
+        if rest.std() <= least or 2 * len(found) + 3 > len(t):
+            break
         spectrum = periodogram(t, rest, frequencies=frequencies)
         f = float(spectrum.frequency[np.argmax(spectrum.power)])
         phase = 2 * np.pi * t[:, None] * np.array([*(sine.frequency for sine in found), f])
         A = np.concatenate([np.ones((len(t), 1)), np.cos(phase), np.sin(phase)], axis=1)
         rest = y - A @ np.linalg.lstsq(A, y, rcond=None)[0]
         now = float(rest.var() / y.var())
+        if not unexplained - now > ROUNDING:
+            break
         found.append(Sine(f, unexplained - now))
         unexplained = now
     return found
@@ -128,14 +138,32 @@ def double_periods(
         step: of the frequencies that are tried; by default a quarter of the resolution 1/duration.
 
     Raises:
-        ValueError: the band has no two frequencies that differ by more than `separation`; times or values that are not
-            finite, or not as many of both.
+        ValueError: the band has no two frequencies that differ by more than `separation`, or too many; it is not
+            positive; times or values that are not finite, or not as many of both; a constant; no more times than the
+            series has coefficients, (2 order + 1)²; `order` or `count` is no integer ≥ 1.
 
     Source: Pravec et al. 2005, Icarus 173, 108.
     """
-    all_plain(low=low, high=high, separation=separation, step=step)
+    _checks.all_plain(low=low, high=high, separation=separation, step=step)
     t, y = _finite_series(t, x)
+    order, count = _checks.count("order", order, 1), _checks.count("count", count, 1)
+    unknown = (2 * order + 1) ** 2
+    if len(t) <= unknown or not np.ptp(t) > 0 or not (y - y.mean()).std() > ROUNDING * np.max(abs(y)):
+        raise ValueError(
+            f"a series of order {order} in two frequencies needs more than its {unknown} coefficients of different "
+            f"times, and values that are not constant, got {len(t)} times from {t.min():g} to {t.max():g}, and values "
+            f"from {y.min():g} to {y.max():g}"
+        )
     step = float(1 / (_PER_RESOLUTION * np.ptp(t))) if step is None else step
+    if not (0 <= low < high < np.inf and separation >= 0 and 0 < step < np.inf):
+        raise ValueError(
+            f"0 ≤ low < high, separation ≥ 0 and step > 0 are needed, got {low}, {high}, {separation}, {step}"
+        )
+    if (high - low) / step > _MOST:
+        raise ValueError(
+            f"from {low:g} to {high:g} there are {(high - low) / step:.3g} frequencies in steps of {step:g}, more than "
+            f"{_MOST}: give a narrower band, or a larger step"
+        )
     numbers = np.arange(int(low / step) + 1, int(high / step))
     f, g = np.meshgrid(numbers, numbers, indexing="ij")
     separate = g - f > separation / step
@@ -154,10 +182,12 @@ def double_periods(
 
 def _finite_series(t: ArrayLike, x: ArrayLike) -> tuple[np.ndarray, np.ndarray]:
     """Times and values, (times,), checked."""
-    t, y = host_array("t", t, float), host_array("x", x, float)
-    if t.ndim != 1 or y.shape != t.shape or not np.isfinite([t, y]).all():
-        raise ValueError(f"t and x must be finite, (times,) both, got shapes {t.shape} and {y.shape}, or a NaN")
-    return t, y
+    t, y = series(t, x)
+    if y.ndim != 1 or not np.isfinite(y).all():
+        raise ValueError(
+            f"x must be finite, (times,), got shape {y.shape}, {np.sum(~np.isfinite(y))} values not finite"
+        )
+    return t, np.ldexp(y, -np.frexp(np.max(abs(y)))[1])  # of size 1: its square is in range
 
 
 def _unexplained_shares(t: np.ndarray, y: np.ndarray, step: float, multiples: np.ndarray, order: int) -> np.ndarray:
@@ -200,9 +230,9 @@ def combination(frequency: float, pair: ArrayLike, order: int, width: float) -> 
         >>> j, k, round(difference, 9)
         (1, 1, 0.0)
     """
-    all_plain(frequency=frequency, width=width)
+    _checks.all_plain(frequency=frequency, width=width)
     jk = combinations(order)
-    f = jk @ host_array("pair", pair)
+    f = jk @ _checks.host_array("pair", pair)
     off, size = abs(f - frequency), abs(jk).sum(axis=1)
     best = int(np.lexsort((off, np.where(off < width, size, size.max() + off / width)))[0])
     return Combination(int(jk[best, 0]), int(jk[best, 1]), float(frequency - f[best]))
@@ -215,8 +245,8 @@ def chance_of_match(frequencies: ArrayLike, low: float, high: float, width: floa
         >>> round(chance_of_match([0.1, 0.11, 0.3], 0.0, 0.5, 0.01), 9)
         0.1
     """
-    all_plain(low=low, high=high, width=width)
-    lines = np.sort(np.ravel(host_array("frequencies", frequencies)))
+    _checks.all_plain(low=low, high=high, width=width)
+    lines = np.sort(np.ravel(_checks.host_array("frequencies", frequencies)))
     below, above = ((lines + side).clip(low, high) for side in (-width, width))
     covered = np.append(low, above[:-1])  # the upper end of the part covered by lower frequencies
     return float((above - np.maximum(below, covered)).sum() / (high - low))
@@ -231,8 +261,8 @@ def equivalent_pairs(pair: ArrayLike, low: float, high: float, most: int = 2) ->
         >>> equivalent_pairs([0.05, 0.08], 0.04, 0.09, most=1).tolist()
         [[0.05, 0.08], [0.08, 0.05]]
     """
-    all_plain(low=low, high=high)
-    f, g = host_array("pair", pair)
+    _checks.all_plain(low=low, high=high)
+    f, g = _checks.host_array("pair", pair)
     integers = np.array(list(itertools.product(range(-most, most + 1), repeat=4)))
     a, b, c, d = integers.T
     found = np.stack([a * f + b * g, c * f + d * g], axis=1)[abs(a * d - b * c) == 1]

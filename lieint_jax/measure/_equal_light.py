@@ -26,7 +26,7 @@ from jax import Array
 
 from lieint_jax._checks import all_plain
 from lieint_jax.groups import so3
-from lieint_jax.measure._light import glossy_brightness
+from lieint_jax.measure._light import check_facets, glossy_brightness
 from lieint_jax.shapes import GlossyFacets
 
 __all__ = [
@@ -162,6 +162,7 @@ def _axis_rotations() -> np.ndarray:
 def is_light_symmetry(facets: GlossyFacets, rotation: np.ndarray) -> bool:
     """Whether a rotation or reflection of the body, (3, 3), maps its facets to facets that send the same light."""
     all_plain(rotation=rotation)
+    check_facets(facets, GlossyFacets)
     normals, areas = np.asarray(facets.normals), np.asarray(facets.areas)
     surfaces = np.stack([facets.diffuse, facets.specular, facets.exponent], axis=1)
     for n in np.concatenate([normals, normals @ rotation.T]):

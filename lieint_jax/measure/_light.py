@@ -12,7 +12,7 @@ from jax import Array
 from jax.custom_derivatives import SymbolicZero
 from jax.typing import ArrayLike
 
-from lieint_jax._checks import all_plain
+from lieint_jax import _checks
 from lieint_jax.groups import so3
 from lieint_jax.measure._states import Directions, directions, map_run, rotate, rotation
 from lieint_jax.runs import Run
@@ -29,7 +29,7 @@ _Scene = tuple[GlossyFacets, Array, Array]  # facets, directions to Sun and obse
 
 def lambert(mu0: Array, mu: Array) -> Array:
     """Lambert's law with albedo 1, μ0: diffuse reflection, equally bright from all sides."""
-    all_plain(mu0=mu0, mu=mu)
+    _checks.all_plain(mu0=mu0, mu=mu)
     return mu0
 
 
@@ -52,15 +52,28 @@ def brightness(
         law: (μ0, μ) ↦ the reflectance, any function of arrays (facets,): 1 is a white body that is equally bright where
             lit; `lambda mu0, mu: mu0 / (mu0 + mu)` is proportional to Lommel–Seeliger's law.
 
+    Raises:
+        ValueError: `facets` are no facets, but a shape for instance.
+
     Source: Kaasalainen & Torppa 2001, Icarus 153, 24, (2).
     """
-    all_plain(q=q, sun=sun, observer=observer)
+    _checks.all_plain(q=q, sun=sun, observer=observer)
+    check_facets(facets)
     q = jnp.asarray(q)
     s, o = (_to_body(q, jnp.asarray(v, q.dtype)) for v in (sun, observer))
     mu0, mu = (rotate(facets.normals, _unit(v)) for v in (s, o))
     dark = (mu0 <= 0) | (mu <= 0)  # a NaN is not dark, so that it is not lost
     mu0, mu = (jnp.where(dark, 1.0, x) for x in (mu0, mu))  # harmless to any law and its derivatives
     return jnp.sum(jnp.where(dark, 0.0, law(mu0, mu) * mu * facets.areas)) / jnp.pi
+
+
+def check_facets(facets: object, kind: type[Facets] = Facets) -> None:
+    """Raise ValueError if `facets` are not of a kind that has normals, areas and, if glossy, a surface."""
+    if not isinstance(facets, kind):
+        way = "shapes.facets(vertices, faces), shapes.ellipsoid_facets(…) or shapes.box_facets(…)"
+        if kind is GlossyFacets:
+            way = "shapes.GlossyFacets(normals, areas, diffuse, specular, exponent)"
+        raise ValueError(f"facets must be {way}, got {_checks.printable(repr(facets))}")
 
 
 def _unit(v: Vector3) -> Vector3:
@@ -91,9 +104,13 @@ def glossy_brightness(facets: GlossyFacets, q: Array, sun: Array, observer: Arra
         The light relative to a white Lambert facet of area π lit and seen face-on. Forward derivatives by the attitude
         are those of a gradient: eight directions cost little more than the light itself.
 
+    Raises:
+        ValueError: `facets` are no `GlossyFacets`.
+
     Source of the lobe: Blinn 1977, Proc. SIGGRAPH, 192.
     """
-    all_plain(q=q, sun=sun, observer=observer)
+    _checks.all_plain(q=q, sun=sun, observer=observer)
+    check_facets(facets, GlossyFacets)
     return _glossy(q, (facets, sun, observer))
 
 
@@ -145,8 +162,9 @@ def light_curve(
         (times,) or (times, members), in the square of the unit of length of the facets.
 
     Raises:
-        ValueError: the run is not of one body with an attitude; a wrong shape.
+        ValueError: the run is not of one body with an attitude; a wrong shape; `facets` are no facets.
     """
+    check_facets(facets)
     R = map_run(run, rotation)
     if R.ndim != 3 + (run.members is not None):
         raise ValueError("light_curve is that of one body, not of several: call brightness for each of them")

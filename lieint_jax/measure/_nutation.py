@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from functools import partial
 from typing import NamedTuple, Self
@@ -14,6 +15,7 @@ from numpy.typing import ArrayLike
 
 from lieint_jax import _checks
 from lieint_jax.capabilities import AbstractSphereSystem, AbstractTop
+from lieint_jax.measure._series import mean_rate, unwrapped
 from lieint_jax.measure._spectrum import even_spacing
 from lieint_jax.measure._states import rotate, series_of, times_of
 from lieint_jax.phase_spaces import frame
@@ -26,6 +28,7 @@ __all__ = ["Nutation", "nutation"]
 
 _MIN_SAMPLES = 6  # saved states per nutation that a measurement needs
 _STENCIL = 6  # saved states through which an angle and its rate are interpolated
+_ROUNDINGS = 64  # times eps √times: the cosine of a steady inclination varies by less
 _HALVINGS = 50  # of the interval between two saved states that contains an extreme
 
 
@@ -34,7 +37,8 @@ class Nutation(NamedTuple):
 
     Attributes:
         period: the mean time from lowest point to lowest point.
-        precession_rate: the mean angular velocity of the axis about γ between them, in radians per unit of time.
+        precession_rate: the mean angular velocity of the axis about γ between them, in radians per unit of time; of an
+            axis at a constant angle that over all times.
         least, greatest: the least and the greatest angle between the axis and γ, in radians.
     """
 
@@ -57,7 +61,9 @@ def nutation(run: Run, axis: ArrayLike | None = None) -> Nutation:
 
     Returns:
         A `Nutation`; period and rate are NaN where the axis is lowest fewer than twice, or states are saved fewer than
-        6 times in a nutation. The angles are then those of the saved states.
+        6 times in a nutation. The angles are then those of the saved states. In a steady precession the period alone is
+        NaN. The rate is NaN where the axis passes through ±γ, up to √eps: there its azimuth jumps by half a revolution,
+        in no certain sense. So it is of a pendulum that swings in a plane; the plane is at rest.
 
     Raises:
         ValueError: the system is neither, its field has no fixed axis, or its axis is not known; uneven times; a batch
@@ -67,7 +73,8 @@ def nutation(run: Run, axis: ArrayLike | None = None) -> Nutation:
     rows, down = series_of(run, _motion, given)
     h = even_spacing(times_of(run))
     members = rows.reshape(len(rows), -1, 3, 3).astype(float)
-    found = np.array([_measure(h, members[:, m]) for m in range(members.shape[1])])
+    eps = float(np.finfo(rows.dtype).eps)
+    found = np.array([_measure(h, members[:, m], eps) for m in range(members.shape[1])])
     period, rate, least, greatest = found.T.reshape(4, *rows.shape[1:-2])
     hangs = down[0]  # of a pendulum measured about −γ
     return Nutation(
@@ -123,21 +130,31 @@ def _field_axis(system: System) -> Vector3:
     raise ValueError("the potential is a function V(Λ) without an axis γ, about which there is no precession")
 
 
-def _measure(h: float, rows: np.ndarray) -> tuple[float, float, float, float]:
+def _measure(h: float, rows: np.ndarray, eps: float) -> tuple[float, float, float, float]:
     """Period, mean rate, least and greatest angle from "up" of one member, from its rows (times, 3, 3)."""
     (x, y, u), (dx, dy, slope) = rows[:, 0].T, h * rows[:, 1].T  # rates per saved state, also backward
     curvature = h * h * rows[:, 2, 2]
-    phi = np.unwrap(np.arctan2(y, x))
     period = rate = np.nan
     lowest, highest = (np.flatnonzero((s * slope[:-1] < 0) & (s * slope[1:] >= 0)) for s in (1, -1))
-    if len(lowest) > 1 and np.diff(lowest).min() >= _MIN_SAMPLES:
+    rounding = _ROUNDINGS * eps * math.sqrt(len(u))
+    if np.ptp(u) <= rounding < np.min(x * x + y * y):
+        steps, turns = np.arange(len(u)), np.mean((x * dy - y * dx) / (x * x + y * y))
+        rate = float(mean_rate(h * steps, unwrapped(steps, np.arctan2(y, x), turns)))
+    elif len(lowest) > 1 and np.diff(lowest).min() >= _MIN_SAMPLES:
         low, high = (_Extremes.from_slope(k, slope, curvature) for k in (lowest, highest))
-        times, change = h * low.position, np.arctan2(low.value(y, dy), low.value(x, dx)) - phi[lowest]
-        angles = phi[lowest] + np.remainder(change + np.pi, 2 * np.pi) - np.pi  # each change is less than π
-        period = abs(times[-1] - times[0]) / (len(times) - 1)
-        rate = (angles[-1] - angles[0]) / (times[-1] - times[0])
-        u = np.concatenate([u, low.value(u, slope), high.value(u, slope)])
-    angle = np.arccos(np.clip(u, -1, 1))
+        at = np.concatenate([np.arange(len(x)), high.position, low.position])
+        x, y = (np.concatenate([z, high.value(z, dz), low.value(z, dz)]) for z, dz in ((x, dx), (y, dy)))
+        order = np.argsort(at)
+        phi = np.empty(len(at))
+        phi[order] = np.unwrap(
+            np.arctan2(y, x)[order]
+        )  # also of an axis that nearly passes through γ between two saves
+        duration = h * (at[-1] - at[-len(lowest)])
+        period = abs(duration) / (len(lowest) - 1)
+        if np.hypot(x, y).min() > math.sqrt(eps):
+            rate = (phi[-1] - phi[-len(lowest)]) / duration
+        u = np.concatenate([u, high.value(u, slope), low.value(u, slope)])
+    angle = np.arctan2(np.hypot(x, y), u)
     return period, rate, angle.min(), angle.max()
 
 

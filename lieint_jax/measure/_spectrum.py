@@ -8,7 +8,8 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike
 
-from lieint_jax._checks import host_array
+from lieint_jax import _checks
+from lieint_jax.measure._series import numbers, series
 
 __all__ = ["Line", "Periodogram", "Spectrum", "complex_rates", "line", "periodogram", "spectrum"]
 
@@ -17,7 +18,7 @@ _FEWEST = 4  # times of a spectrum
 _EVEN = 0.01  # largest deviation of a time from even spacing, over the spacing
 _OVERSAMPLING = 10  # default frequencies per resolution, 1/duration
 _AT_ONCE = 2**21  # waves times data that are summed together
-_ROUNDING = 4 * np.finfo(float).eps  # standard deviation of a constant, over its size
+ROUNDING = 4 * np.finfo(float).eps  # standard deviation of a constant, over its size; double precision
 _SINGULAR = 1e-12  # mean square of a wave that the times do not see, such as a sine at the Nyquist frequency
 
 
@@ -54,14 +55,14 @@ def spectrum(t: ArrayLike, x: ArrayLike) -> Spectrum:
 
     Args:
         t: evenly spaced times, (times,).
-        x: (times, …); its mean is subtracted.
+        x: real, (times, …); its mean is subtracted. Where it has a NaN or an infinity, all amplitudes are NaN.
 
     Raises:
-        ValueError: the times are not evenly spaced, or fewer than 4.
+        ValueError: the times are not evenly spaced, or fewer than 4; not as many values.
     """
-    if len(host_array("t", t)) < _FEWEST:
-        raise ValueError(f"a spectrum needs at least {_FEWEST} times, got {len(np.asarray(t))}")
     spacing, windowed, weight = _windowed(t, x)
+    if len(windowed) < _FEWEST:
+        raise ValueError(f"a spectrum needs at least {_FEWEST} times, got {len(windowed)}")
     amplitude = 2 * abs(np.fft.rfft(windowed, axis=0)) / weight
     if len(windowed) % 2 == 0:
         amplitude[-1] /= 2  # at the Nyquist frequency a line and its image coincide
@@ -76,21 +77,20 @@ def line(t: ArrayLike, x: ArrayLike, low: ArrayLike, high: ArrayLike) -> Line:
 
     Args:
         t: evenly spaced times, (times,).
-        x: (times, …).
+        x: real, (times, …).
         low, high: in cycles per unit of time, scalars or (…).
 
     Returns:
-        A `Line`; NaN where no frequency of the transform is between `low` and `high`, where x has a NaN, and for fewer
-        than 4 times.
+        A `Line`; NaN where no frequency of the transform is between `low` and `high`, where x has a NaN or an infinity,
+        and for fewer than 4 times. The frequency of an amplitude that is round-off of x is NaN.
 
     Raises:
-        ValueError: the times are not evenly spaced.
+        ValueError: the times are not evenly spaced; not as many values.
     """
-    low, high = host_array("low", low), host_array("high", high)
-    if len(host_array("t", t)) < _FEWEST:
-        nothing = np.full(np.shape(x)[1:], np.nan)[()]
-        return Line(nothing, nothing)
     spacing, windowed, weight = _windowed(t, x)
+    if len(windowed) < _FEWEST:
+        nothing = np.full(windowed.shape[1:], np.nan)[()]
+        return Line(nothing, nothing)
     frequencies = np.fft.rfftfreq(len(windowed), spacing)
     elapsed, column = (_column(a, windowed.ndim) for a in (spacing * np.arange(len(windowed)), frequencies))
     inside = (column > low) & (column < high)
@@ -107,7 +107,8 @@ def line(t: ArrayLike, x: ArrayLike, low: ArrayLike, high: ArrayLike) -> Line:
         found, reach = found + reach * np.clip(slope, -1, 1), reach / 4
     amplitude = 2 * height(found) / weight
     exists = np.any(inside, axis=0) & ~np.isnan(amplitude)
-    return Line(np.where(exists, found, np.nan)[()], np.where(exists, amplitude, np.nan)[()])
+    varies = amplitude > ROUNDING * np.max(abs(series(t, x)[1]), axis=0)
+    return Line(np.where(exists & varies, found, np.nan)[()], np.where(exists, amplitude, np.nan)[()])
 
 
 def complex_rates(t: ArrayLike, z: ArrayLike, count: int = 2) -> np.ndarray:
@@ -118,10 +119,14 @@ def complex_rates(t: ArrayLike, z: ArrayLike, count: int = 2) -> np.ndarray:
     Args:
         t: evenly spaced times, (times,), so short a time from each other that |σ| Δt < π.
         z: real or complex, (times,), almost without noise, which the method amplifies.
-        count: the number of terms; a real oscillation has two.
+        count: the number of terms, ≥ 1; a real oscillation has two.
 
     Returns:
-        The rates in radians per unit of time; NaN for fewer than 4 × `count` times, and where z has a NaN or is 0.
+        The rates in radians per unit of time; NaN for fewer than 4 × `count` times, and if z has a NaN or an infinity.
+        Of a series of fewer terms the last rates are NaN, and of zeros all.
+
+    Raises:
+        ValueError: the times are not evenly spaced; not as many values; `count` is no integer ≥ 1.
 
     Source: Prony 1795; Marple 1987, Digital Spectral Analysis, § 11.3.
 
@@ -130,31 +135,53 @@ def complex_rates(t: ArrayLike, z: ArrayLike, count: int = 2) -> np.ndarray:
         >>> complex_rates(t, np.exp((0.1 + 2j) * t) + np.exp(-1j * t)).round(9).tolist()
         [(2-0.1j), (-1+0j)]
     """
-    z = host_array("z", z)
-    if len(z) < 4 * count or not np.isfinite(z).all() or not z.any():
-        return np.full(count, np.nan + 0j)
-    columns = np.stack([z[count - k : len(z) - k] for k in range(1, count + 1)], axis=1)
-    coefficients = np.linalg.lstsq(columns, z[count:], rcond=None)[0]
-    rates = -1j * np.log(np.roots([1, *-coefficients]).astype(complex)) / even_spacing(t)
+    spacing, x = even_spacing(t), series(t, z, "biufc")[1]
+    count = _checks.count("count", count, 1)
+    found = np.full(count, np.nan + 0j)
+    if x.ndim != 1:
+        raise ValueError(f"z must be (times,), got {x.shape}; call complex_rates for each series")
+    if len(x) < 4 * count or not np.isfinite(x).all() or not x.any():
+        return found
+    x = x / 2.0 ** (np.frexp(abs(x).max())[1] - 1)  # of size 1, exactly
+    coefficients, terms = _recurrence(x, count)
+    if terms < count:
+        coefficients, terms = _recurrence(x, terms)
+    rates = -1j * np.log(np.roots([1, *-coefficients]).astype(complex)) / spacing
     size = np.abs(rates).max() or 1.0
-    return np.array(sorted(rates, key=lambda rate: (-round(rate.real / size, 6), rate.imag)))
+    found[: len(rates)] = sorted(rates, key=lambda rate: (-round(rate.real / size, 6), rate.imag))
+    return found
+
+
+def _recurrence(z: np.ndarray, count: int) -> tuple[np.ndarray, int]:
+    """The coefficients a of z_n = Σ a_k z_{n−k}, (count,), and how many of such terms are independent."""
+    columns = np.stack([z[count - k : len(z) - k] for k in range(1, count + 1)], axis=1)
+    coefficients, _, rank, _ = np.linalg.lstsq(columns, z[count:], rcond=None)
+    return coefficients, int(rank)
 
 
 def even_spacing(t: ArrayLike) -> float:
     """The signed spacing of evenly spaced times, up to the rounding of their type; ValueError if they are not."""
-    t = host_array("t", t)
-    rounding, t = np.spacing(np.max(np.abs(t))), np.asarray(t, float)
+    given, t = t, series(t, t)[0]
+    kind = np.asarray(given).dtype
+    rounding = float(np.spacing(kind.type(np.max(abs(t))))) if kind.kind == "f" else 0.0
     spacing = (t[-1] - t[0]) / max(len(t) - 1, 1)
     if len(t) > 1 and not np.max(abs(np.diff(t) - spacing)) <= _EVEN * abs(spacing) + rounding:
         raise ValueError("the times must be evenly spaced: save every step or every n-th one, or use periodogram")
+    if len(t) > 1 and not spacing:
+        raise ValueError(f"the times must differ, got {len(t)} times {t[0]:g}")
     return float(spacing)
 
 
 def _windowed(t: ArrayLike, x: ArrayLike) -> tuple[float, np.ndarray, float]:
     """The spacing of the times, the series less its mean under the window, and the sum of the window."""
-    x, spacing = host_array("x", x), abs(even_spacing(t))
+    spacing, x = abs(even_spacing(t)), _finite_or_nan(series(t, x)[1])
     window = np.hanning(len(x))
     return spacing, _column(window, x.ndim) * (x - x.mean(axis=0)), float(window.sum())
+
+
+def _finite_or_nan(x: np.ndarray) -> np.ndarray:
+    """The series x (times, …), NaN at all times where it is not finite at some."""
+    return np.where(np.isfinite(x).all(axis=0), x, np.nan)
 
 
 def _column(a: np.ndarray, ndim: int) -> np.ndarray:
@@ -194,39 +221,48 @@ def periodogram(
             Nyquist frequency of n times, (n − 1)/2T.
 
     Returns:
-        A `Periodogram`; NaN where x is NaN or constant.
+        A `Periodogram`; NaN where x is constant up to round-off, or not finite.
 
     Raises:
-        ValueError: fewer than 5 times, times or errors that are not finite, errors or frequencies that are not
-            positive.
+        ValueError: fewer than 5 times, or all equal, not as many values; times or errors that are not finite, errors or
+            frequencies that are not positive.
 
     Source: Zechmeister & Kürster 2009, Astron. Astrophys. 496, 577; the probability: Baluev 2008, Mon. Not. R. Astron.
     Soc. 385, 1279, (6) and Table 1, for z₁ and a constant as the model without a signal.
     """
-    t, x = host_array("t", t, float), host_array("x", x, float)
-    n = len(t)
-    sigma = np.ones(n) if errors is None else host_array("errors", errors, float)
-    if n < 5 or len(x) != n or sigma.shape != (n,) or not (np.isfinite([t, sigma]).all() and (sigma > 0).all()):
+    t, x = numbers("the times", t), numbers("the series", x)
+    n = t.size
+    sigma = np.ones(n) if errors is None else numbers("errors", errors)
+    if (
+        n < 5
+        or t.ndim != 1
+        or x.shape[:1] != (n,)
+        or sigma.shape != (n,)
+        or not (np.isfinite([t, sigma]).all() and (sigma > 0).all())
+    ):
         raise ValueError(
             "t (times,) must hold at least 5 finite times, x be (times, …), and errors positive and finite, (times,); "
             f"got shapes {t.shape}, {x.shape}, {sigma.shape}"
         )
     duration = np.ptp(t)
-    if frequencies is None:
-        frequencies = np.arange(_OVERSAMPLING, (n - 1) / 2 * _OVERSAMPLING) / (_OVERSAMPLING * duration)
-    f = host_array("frequencies", frequencies, float)
+    if not duration > 0:
+        raise ValueError(f"the times must differ, got {n} times {t[0]:g}")
+    default = np.arange(_OVERSAMPLING, (n - 1) / 2 * _OVERSAMPLING) / (_OVERSAMPLING * duration)
+    f = default if frequencies is None else numbers("frequencies", frequencies)
     if f.ndim != 1 or not len(f) or not (f > 0).all() or not np.isfinite(f).all():
         raise ValueError(f"frequencies must be finite and positive, (frequencies,), got {f}; {duration = :g}")
-    w = sigma**-2 / np.sum(sigma**-2)
-    t, columns = t - w @ t, x.reshape(n, -1)
+    w = (sigma.min() / sigma) ** 2
+    w = w / w.sum()
+    centered, columns = t - w @ t, _finite_or_nan(x).reshape(n, math.prod(x.shape[1:]))
+    columns = np.ldexp(columns, -np.frexp(np.max(abs(columns), axis=0))[1])  # of size 1: their squares are in range
     y = columns - w @ columns
     parts = np.array_split(f, -(-f.size * n // _AT_ONCE))
-    explained = np.concatenate([_explained(part, t, w, y) for part in parts])
+    explained = np.concatenate([_explained(part, centered, w, y) for part in parts])
     variance = w @ (y * y)
-    constant = variance <= (_ROUNDING * np.max(abs(columns), axis=0)) ** 2
+    constant = variance <= (ROUNDING * np.max(abs(columns), axis=0)) ** 2
     with np.errstate(invalid="ignore", divide="ignore"):
         power = np.clip(explained / np.where(constant, np.nan, variance), 0, 1).reshape(len(f), *x.shape[1:])
-        width = np.ptp(f) * math.sqrt(4 * math.pi * (w @ (t * t)))
+        width = np.ptp(f) * duration * math.sqrt(4 * math.pi * (w @ (centered / duration) ** 2))
         return Periodogram(f, power, _false_alarm_probability(power, n, width))
 
 

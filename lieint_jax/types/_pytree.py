@@ -11,6 +11,7 @@ import jax
 import numpy as np
 
 from lieint_jax._checks import dtype_of, name_of
+from lieint_jax.types.text import fields_text
 
 MYPY = False  # mypy takes this for True
 if MYPY:
@@ -49,12 +50,16 @@ def from_fields(cls: type[_T], /, **fields: Any) -> _T:
 def pytree(cls: type[_T]) -> type[_T]:
     """Make `cls` a frozen dataclass and a pytree whose leaves are all its fields except the `static` ones.
 
+    Its `repr` is one line, with long arrays by their types and shapes, unless it has its own.
+
     The class is part of the tree's structure. With `jax.tree_util.register_dataclass` (jax 0.10) it is not: two classes
     with the same fields compare equal, and jit may then run the program that it compiled for the other one.
     """
     if not hasattr(cls, "__post_init__"):
         cls.__post_init__ = _convert  # pyright: ignore[reportAttributeAccessIssue]
-    made: Any = dataclasses.dataclass(frozen=True, eq=False)(cls)
+    if cls.__repr__ is object.__repr__:
+        cls.__repr__ = fields_text  # pyright: ignore[reportAttributeAccessIssue]
+    made: Any = dataclasses.dataclass(frozen=True, eq=False, repr=False)(cls)
     fields = dataclasses.fields(made)
     names = [field.name for field in fields if not field.metadata.get("static")]
     fixed = [field.name for field in fields if field.metadata.get("static")]

@@ -16,8 +16,8 @@ from lieint_jax._checks import concrete, dtype_of
 from lieint_jax.types._torque import labels as laws_of
 from lieint_jax.types.members import Axis, Run, axes, map_over_run
 from lieint_jax.types.shapes import PyTree
+from lieint_jax.types.text import short_text
 
-_SHORT = 16  # the most numbers that a description shows
 _BODIES = {  # by the name and the number of components of each body
     ("q", 7): ("pose", ["x", "y", "z", "qw", "qx", "qy", "qz"]),
     ("p", 6): ("momenta", ["px", "py", "pz", "pix", "piy", "piz"]),
@@ -36,17 +36,6 @@ _TEXTS = {
     "residual": "largest residual since the last entry",
     "converged": "whether all steps since the last entry did",
 }
-
-
-def short_text(value: PyTree) -> str:
-    """A number or a short array to six digits; the type and the shape of a longer array or a tracer."""
-    if isinstance(value, dict):
-        return "{" + ", ".join(f"{name}: {short_text(inner)}" for name, inner in value.items()) + "}"
-    if dtype_of(value) is None:
-        return repr(value)
-    if not concrete(value) or value.size > _SHORT:
-        return f"{value.dtype}[{', '.join(map(str, value.shape))}]"
-    return np.array2string(np.asarray(value), precision=6, separator=", ").replace("\n", "")
 
 
 def fields(value: PyTree) -> str:

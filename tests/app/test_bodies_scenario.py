@@ -152,8 +152,8 @@ def test_two_bodies_move_as_those_of_the_kind_binary():
     for a, b in (
         ("orbital period (h)", "secondary about primary: period (h)"),
         (
-            "eccentricity: amplitude of the distance over its mean",
-            "  eccentricity: amplitude of the distance over its mean",
+            "eccentricity of the mean ellipse",
+            "  eccentricity of the mean ellipse",
         ),
         ("precession of the line of apsides (°/d)", "  precession of the line of apsides (°/d)"),
     ):

@@ -6,6 +6,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from cubes import CUBE, FACES
 
 import lieint_jax as li
 from lieint_jax.types import State, StepInfo, Trajectory
@@ -98,6 +99,29 @@ def test_states_print_in_a_line(capsys):
         "Trajectory(5 entries of 2 members, t = 0 … 3, all converged, State(q=float64[5, 2, 4], p=float64[5, 2, 3]))"
     )
     assert "1 not converged" in str(run()._replace(info=StepInfo(np.zeros(5), np.arange(5) > 0)))
+
+
+def test_laws_systems_and_steps_print_in_a_short_line():
+    """Of IGRF to degree 13, 680 coefficients; of a mesh, and of many bodies; and in errors."""
+    field = li.orbits.earth_field(li.orbits.kepler(398600.4, 7000.0, 0.01), "2025-01-01", degree=13)
+    law = li.torques.magnetic_dipole([0.01, 0.0, 0.02], field)
+    body = li.systems.torqued_body([1.0, 2.0, 2.5], law + li.torques.viscous(1e-3))
+    many = li.systems.rigid_bodies(np.ones(40), np.ones((40, 3)), li.potentials.point_masses(1.0, np.ones(40)))
+    mesh = li.potentials.polyhedron(1.0, (np.asarray(CUBE, float), FACES), 1.0)
+    facets = li.shapes.ellipsoid_facets([1.0, 2.0, 3.0], 6)
+    for x in (field, law, body, li.schemes.torqued_midpoint(body), many, li.schemes.splitting(many), mesh, facets):
+        text = repr(x)
+        assert text.startswith(f"{type(x).__name__}(")
+        assert len(text) < 700
+        assert "\n" not in text
+    assert "eccentricity=0.01" in repr(law)
+    assert "masses=float64[40]" in repr(many)
+    assert "groups=tuple of 1" not in repr(many)
+    jax.jit(lambda law: repr(law) and 1.0)(law)  # inside of jit, too
+    with pytest.raises(ValueError) as error:
+        li.measure.distances(li.run(li.schemes.torqued_midpoint(body), body.state(), 0.1, 0, progress=False))
+    assert "table" in str(error.value) or "float64[" in str(error.value)
+    assert len(str(error.value)) < 800
 
 
 def test_a_missing_package_is_named_in_a_sentence(monkeypatch):

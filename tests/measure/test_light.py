@@ -54,6 +54,25 @@ def test_a_lambert_sphere_has_its_phase_function():
     assert np.log2(flat[0] / flat[2]) / 4 == pytest.approx(1, abs=0.1)
 
 
+def test_a_solid_is_refused_with_the_functions_that_make_facets():
+    solid, at, q = shapes.box([1.0, 2.0, 3.0], mass=1.0), jnp.eye(3), jnp.array([1.0, 0, 0, 0])
+    body = li.systems.rigid_body(solid)
+    run = li.run(li.schemes.exact(body), body.state(angular_velocity=[0.1, 0.2, 0.3]), 0.1, 2, progress=False)
+    for light in (lambda: measure.light_curve(run, solid, *at[:2]), lambda: measure.brightness(solid, q, *at[:2])):
+        with pytest.raises(
+            ValueError, match=r"facets must be shapes\.facets\(.*shapes\.box_facets\(…\), got Shape\(mass=1"
+        ):
+            light()
+    dull = shapes.box_facets([1.0, 2.0, 3.0])
+    for facets in (solid, dull):
+        for light in (
+            lambda facets=facets: measure.glossy_brightness(facets, q, *at[:2]),
+            lambda facets=facets: measure.light_changes(facets, at, at),
+        ):
+            with pytest.raises(ValueError, match=r"facets must be shapes\.GlossyFacets\(normals, .*, got "):
+                light()
+
+
 def hull_of_sphere(n):
     """The hull of n points on a spiral around the unit sphere."""
     z, angle = 1 - (2 * np.arange(n) + 1) / n, np.pi * (1 + np.sqrt(5)) * np.arange(n)

@@ -193,3 +193,130 @@ def test_complex_rates_are_those_of_the_terms():
     np.testing.assert_array_equal(2.0**30 * slow, measure.complex_rates(t, z.conj()))
     for short_or_bad in (z[:7], np.where(t > 5, np.nan, z)):
         assert np.isnan(measure.complex_rates(t[: len(short_or_bad)], short_or_bad)).all()
+
+
+SERIES = {
+    "unwrapped": measure.unwrapped,
+    "mean_rate": measure.mean_rate,
+    "captured_since": lambda t, x: measure.captured_since(t, x, 0.5),
+    "first_below": lambda t, x: measure.first_below(t, x, 0.5, interpolate=True),
+    "spectrum": measure.spectrum,
+    "line": lambda t, x: measure.line(t, x, 0.1, 1.0),
+    "complex_rates": measure.complex_rates,
+    "periodogram": lambda t, x: measure.periodogram(t, x, frequencies=[0.2, 0.3, 0.5]),
+    "sines": lambda t, x: measure.sines(t, x, np.arange(0.05, 1, 0.05), 2),
+    "double_periods": lambda t, x: measure.double_periods(t, x, 0.1, 0.9, separation=0.1),
+}
+SHORT, SWING = np.linspace(0, 10, 41), np.sin(3 * np.linspace(0, 10, 41))
+BAD = {
+    "no times": (SHORT[:0], SWING[:0]),
+    "fewer values": (SHORT, SWING[:30]),
+    "fewer times": (SHORT[:30], SWING),
+    "a number": (1.0, 2.0),
+    "times in columns": (SHORT[:, None], SWING),
+    "times with a NaN": (np.where(SHORT > 5, np.nan, SHORT), SWING),
+    "infinite times": (np.where(SHORT > 5, np.inf, SHORT), SWING),
+    "complex times": (1j * SHORT, SWING),
+    "dates": (np.arange(41).astype("datetime64[s]"), SWING),
+    "texts": ("ab", "cd"),
+    "nothing": (None, None),
+    "objects": (SHORT, SWING.astype(object)),
+    "ragged": ([1, [2, 3]], [1, 2]),
+}
+EDGES = {
+    "a constant": (SHORT, np.full(41, 2.5)),
+    "zeros": (SHORT, 0 * SHORT),
+    "backward": (SHORT[::-1], SWING),
+    "integers": (np.arange(41, dtype=np.int8), np.arange(41, dtype=np.int8) % 3),
+    "single precision": (SHORT.astype(np.float32), SWING.astype(np.float32)),
+    "half precision": (SHORT.astype(np.float16), SWING.astype(np.float16)),
+    "lists": (SHORT.tolist(), SWING.tolist()),
+    "large": (SHORT, 1e150 * SWING),
+    "small": (SHORT, 1e-150 * SWING),
+    "subnormal": (SHORT, 1e-310 * SWING),
+    "on a grid": (SHORT, np.sin(np.pi * SHORT)),
+    "at the Nyquist frequency": (np.arange(40.0), np.cos(np.pi * np.arange(40))),
+}
+
+
+@pytest.mark.filterwarnings("error")
+@pytest.mark.parametrize("name", SERIES)
+def test_a_series_that_is_none_is_refused_with_what_it_must_be(name):
+    for t, x in BAD.values():
+        with pytest.raises(ValueError, match=r"times|must hold|must be an array of numbers"):
+            SERIES[name](t, x)
+
+
+@pytest.mark.filterwarnings("error")
+@pytest.mark.parametrize("name", SERIES)
+def test_series_at_their_edges_have_values_without_a_warning(name):
+    for what, (t, x) in EDGES.items():
+        if name == "double_periods" and what in ("a constant", "zeros"):
+            with pytest.raises(ValueError, match="values that are not constant, got 41 times from 0 to 10"):
+                SERIES[name](t, x)
+        else:
+            SERIES[name](t, x)
+    above = name in ("sines", "double_periods", "first_below")  # the former two refuse it, the latter finds one before
+    found = [] if above else SERIES[name](SHORT, np.where(SHORT > 9, np.inf, SWING))
+    for x in jax.tree.leaves(found)[-1:]:
+        assert np.isnan(x).any()
+
+
+def test_nothing_has_no_frequency():
+    """A constant has no line, no sine and one rate, 0; a series has as many rates and sines as terms."""
+    for x in (np.full(41, 2.5), np.zeros(41)):
+        assert np.isnan(measure.line(SHORT, x, 0.1, 1.0).frequency)
+        assert measure.line(SHORT, x, 0.1, 1.0).amplitude < 1e-15
+        assert measure.sines(SHORT, x, [0.1, 0.2], 3) == []
+        assert np.isnan(measure.periodogram(SHORT, x, frequencies=[0.1]).power).all()
+    np.testing.assert_allclose(measure.complex_rates(SHORT, np.full(41, 2.5)), [0, np.nan], rtol=0, atol=1e-13)
+    np.testing.assert_allclose(measure.complex_rates(SHORT, SWING, 4)[:2], [3, -3], rtol=1e-12)
+    assert np.isnan(measure.complex_rates(SHORT, SWING, 4)[2:]).all()
+    assert len(measure.sines(np.arange(41.0), np.sin(np.pi / 2 * np.arange(41)), [0.1, 0.25], 5)) == 1
+    for scale in (1e150, 1e-150, 1e-310):
+        np.testing.assert_allclose(measure.complex_rates(SHORT, scale * SWING), [3, -3], rtol=1e-12)
+        np.testing.assert_allclose(
+            measure.periodogram(SHORT, scale * SWING, frequencies=[0.4]).power,
+            measure.periodogram(SHORT, SWING, frequencies=[0.4]).power,
+            rtol=1e-12,
+        )
+        np.testing.assert_allclose(
+            measure.complex_rates(scale * SHORT, SWING) * scale if scale > 1e-300 else [3, -3], [3, -3], rtol=1e-12
+        )
+
+
+@pytest.mark.parametrize(
+    ("call", "words"),
+    [
+        (lambda: measure.complex_rates(SHORT, SWING, 0), "count must be an integer ≥ 1, got 0"),
+        (lambda: measure.complex_rates(SHORT, SWING, 2.0), "count must be an integer"),
+        (lambda: measure.complex_rates(SHORT, np.stack([SWING, SWING], axis=1)), "call complex_rates for each series"),
+        (lambda: measure.sines(SHORT, SWING, [0.1], 1.5), "count must be an integer"),
+        (lambda: measure.sines(SHORT, SWING, [], 1), "frequencies must be finite and positive"),
+        (lambda: measure.spectrum(np.full(41, 3.0), SWING), "the times must differ, got 41 times 3"),
+        (lambda: measure.periodogram(np.full(41, 3.0), SWING), "the times must differ"),
+        (lambda: measure.spectrum(SHORT, np.exp(1j * SHORT)), "must hold real numbers, got dtype complex128"),
+        (lambda: measure.captured_since(SHORT, SWING, np.nan), "limit must be a number, got NaN"),
+        (lambda: measure.first_below(SHORT, SWING, np.nan), "limit must be a number, got NaN"),
+        (lambda: measure.is_librating(SWING, 0.0), "bound > 0"),
+        (lambda: measure.is_librating([]), r"angle must be \(times, …\)"),
+        (
+            lambda: measure.double_periods(SHORT, SWING, 0.2, 1.0, separation=0.1, order=0),
+            "order must be an integer ≥ 1",
+        ),
+        (
+            lambda: measure.double_periods(SHORT, SWING, 0.2, 1.0, separation=0.1, count=0),
+            "count must be an integer ≥ 1",
+        ),
+        (
+            lambda: measure.double_periods(SHORT, SWING, 0.2, 1.0, separation=0.1, order=4),
+            "more than its 81 coefficients",
+        ),
+        (lambda: measure.double_periods(SHORT, SWING, 1.0, 0.2, separation=0.1), "0 ≤ low < high"),
+        (lambda: measure.double_periods(SHORT, SWING, 0.2, 1.0, separation=0.1, step=0.0), "step > 0"),
+        (lambda: measure.double_periods(SHORT, SWING, 0.2, 1.0, separation=0.1, step=1e-9), "give a narrower band"),
+    ],
+)
+def test_arguments_of_series_are_refused_with_what_is_allowed(call, words):
+    with pytest.raises(ValueError, match=words):
+        call()

@@ -151,7 +151,7 @@ class Binary(MultibodyKind):
             ("orbital period (h)", orbit.period / HOUR, "orbital_period_h"),
             ("primary's spin period (h)", _hours(t, found.spin_1), "primary_spin_period_h"),
             ("secondary's spin period (h)", _hours(t, found.spin_2), ""),
-            ("eccentricity: amplitude of the distance over its mean", orbit.eccentricity, ""),
+            ("eccentricity of the mean ellipse", orbit.eccentricity, ""),
             ("precession of the line of apsides (°/d)", _DEG_D * orbit.precession_rate, "apsidal_precession_deg_d"),
             ("precession of the orbit's normal about L (°/d)", _DEG_D * precession, ""),
             ("libration of the secondary, largest (°)", np.rad2deg(_swing(found)), ""),

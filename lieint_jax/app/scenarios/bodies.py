@@ -262,7 +262,7 @@ class Bodies(MultibodyKind):
         apsides = np.rad2deg(found.precession_rate) * keys.DAY
         return [
             _row(name, found.period / keys.HOUR, known.get("orbital_period_h")),
-            _row("  eccentricity: amplitude of the distance over its mean", found.eccentricity),
+            _row("  eccentricity of the mean ellipse", found.eccentricity),
             _row("  precession of the line of apsides (°/d)", apsides, known.get("apsidal_precession_deg_d")),
         ]
 
