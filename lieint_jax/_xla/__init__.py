@@ -22,7 +22,7 @@ which runs what has no machine code, handles the same equations well with these 
     devices they differ. A loop of the package has them, the step that it repeats is traced without.
 
 `compiled` is `jax.jit` with options that halve the compile time of the package's own programs; `jit` is the same for
-those of users.
+those of users. `Recent` stores the programs used last, for all threads.
 """
 
 from lieint_jax._xla._compile import compiled, jit
@@ -35,9 +35,11 @@ from lieint_jax._xla._materialize import (
     unfused,
     with_materialized_derivatives,
 )
+from lieint_jax._xla._recent import Recent
 from lieint_jax._xla._varying import differ, result_like, unchecked, with_common_axes
 
 __all__ = [
+    "Recent",
     "compiled",
     "differ",
     "forward_mode",
