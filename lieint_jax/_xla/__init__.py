@@ -18,8 +18,8 @@ which runs what has no machine code, handles the same equations well with these 
     a long one in reverse mode, and none in reverse mode if it is a `while_loop`. So it is always differentiated in
     forward mode.
 
-`differ`, `with_common_axes`, `result_like`, `unchecked`: Inside `jax.shard_map` the types of arrays say between which
-    devices they differ. A loop of the package has them, the step that it repeats is traced without.
+`differ`, `with_common_axes`, `with_common_mesh`, `result_like`, `axis_spread`, `unchecked`: Inside `jax.shard_map` the types of arrays say
+    between which devices they differ, and over a mesh of explicit axes over which devices they are spread. A loop of the package has them, the step that it repeats is traced without.
 
 `compiled` is `jax.jit` with options that halve the compile time of the package's own programs; `jit` is the same for
 those of users. `Recent` stores the programs used last, for all threads.
@@ -36,10 +36,11 @@ from lieint_jax._xla._materialize import (
     with_materialized_derivatives,
 )
 from lieint_jax._xla._recent import Recent
-from lieint_jax._xla._varying import differ, result_like, unchecked, with_common_axes
+from lieint_jax._xla._varying import axis_spread, differ, result_like, unchecked, with_common_axes, with_common_mesh
 
 __all__ = [
     "Recent",
+    "axis_spread",
     "compiled",
     "differ",
     "forward_mode",
@@ -53,5 +54,6 @@ __all__ = [
     "unchecked",
     "unfused",
     "with_common_axes",
+    "with_common_mesh",
     "with_materialized_derivatives",
 ]

@@ -8,6 +8,7 @@ from typing import Any, NamedTuple, TypeVar
 import jax
 import numpy as np
 
+from lieint_jax import _checks
 from lieint_jax.native import _march_derivatives, _march_members  # noqa: F401  # the rules of the primitive
 from lieint_jax.native._march import march
 
@@ -56,6 +57,8 @@ def scan(
         >>> path.shape
         (2, 2)
     """
+    length = None if length is None else _checks.count("length", length, 0)
+    every = _checks.count("every", every, 1)
     shapes = [np.shape(x) for x in jax.tree.leaves(xs)]
     lengths = {shape[:1] for shape in shapes} | ({(length,)} if length is not None else set())
     if len(lengths) != 1 or () in lengths:
@@ -64,7 +67,7 @@ def scan(
             f"got length={length} and xs of shapes {shapes}"
         )
     [(steps,)] = lengths
-    if every < 1 or steps % every:
+    if steps % every:
         raise ValueError(f"every must divide the number of steps, {steps}, got {every}")
     return march(_Unnumbered(f), init, xs, rows=steps // every, every=every, reverse=reverse)
 

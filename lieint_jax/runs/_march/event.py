@@ -93,8 +93,9 @@ def events(
 ) -> Event:
     """The first `count` events as in `event`, every leaf with a leading axis (count,)."""
     max_steps, count = _checks.count("max_steps", max_steps, 1), _checks.count("count", count, 1)
+    given, direction = direction, _checks.integer(direction)
     if direction not in (-1, 0, 1):
-        raise ValueError(f"direction must be −1 (falling), 1 (rising) or 0 (both), got {direction!r}")
+        raise ValueError(f"direction must be −1 (falling), 1 (rising) or 0 (both), got {given!r}")
     if not callable(condition):
         raise ValueError(f"condition must be a function of the state with a scalar value, got {condition!r}")
     step, state, dtype = promoted(checked_step(step), state)
