@@ -37,8 +37,8 @@ class Event(NamedTuple):
     Attributes:
         t: the time, on the clock of `state.t`; since the start if the state has no time.
         state: the state at t, by a shorter step from the last node before.
-        found: True if there is such an event, if t is right to 1e-9 dt (3e-4 dt in float32) or to the rounding of t,
-            and if all steps up to it converged. If the sign does not change, found is False, and t and state are those
+        found: True if there is such an event, if t is right to 1e-9 dt (3e-4 dt in float32), to the rounding of t or to
+            where values of the condition underflow, and if all steps up to it converged. If the sign does not change, found is False, and t and state are those
             at the end of the search. If the sign changes at a pole or a jump of the condition, or if rounding errors of
             the condition hide the time of its root, found is False, and t and state are those of the change.
     """
@@ -197,7 +197,7 @@ def _brackets(
         side = jnp.sign(new)
         changes = (sign * side < 0) & ((direction == 0) | (side == direction))
         slot = jnp.where(changes, number, count)
-        nearby = _nearby(before[0].t, after.t, value)
+        nearby = jnp.maximum(_nearby(before[0].t, after.t, value), _above_underflow(new - value))
         here = _Bracket(before[0], n, jnp.stack([value, new]), nearby, info.converged)
         buffer = jax.tree.map(lambda to, x: to.at[slot].set(x, mode="drop"), buffer, here)
         sign = jnp.where(side * side > 0, side, sign)  # a zero or NaN changes nothing
@@ -221,6 +221,11 @@ def _nearby(t0: Array | None, t1: Array | None, like: Array) -> Array:
         return least
     rounding = 8 * jnp.finfo(like.dtype).eps * jnp.abs(t1)
     return jnp.maximum(least, rounding / jnp.abs(t1 - t0))
+
+
+def _above_underflow(change: Array) -> Array:
+    """The distance from a root at which a condition that changes so much in a step is a normal number."""
+    return jnp.minimum(8 * jnp.finfo(change.dtype).tiny / jnp.abs(change), 0.5)
 
 
 def _root(step: Step, bracket: _Bracket, dt: Array, condition: _Condition) -> tuple[Array, Array]:
