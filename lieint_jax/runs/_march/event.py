@@ -26,6 +26,7 @@ from lieint_jax.types import clock as time_of
 from lieint_jax.types.record import record
 
 _RIGHT_TO = {4: 3e-4, 8: 1e-9}  # an event's time, in Δt, by the bytes of a number
+_RIGHT_TO_UNDERFLOW = 1e-5  # where the condition is so small that it underflows nearer to its root
 _Condition = Callable[[State], Array]
 _FEW = 8  # events whose search is machine code, of which each number of the buffer is an operation
 
@@ -37,10 +38,11 @@ class Event(NamedTuple):
     Attributes:
         t: the time, on the clock of `state.t`; since the start if the state has no time.
         state: the state at t, by a shorter step from the last node before.
-        found: True if there is such an event, if t is right to 1e-9 dt (3e-4 dt in float32), to the rounding of t or to
-            where values of the condition underflow, and if all steps up to it converged. If the sign does not change, found is False, and t and state are those
-            at the end of the search. If the sign changes at a pole or a jump of the condition, or if rounding errors of
-            the condition hide the time of its root, found is False, and t and state are those of the change.
+        found: True if there is such an event, if t is right to 1e-9 dt (3e-4 dt in float32; 1e-5 dt where nearer to its
+            root the condition underflows) or to the rounding of t, and if all steps up to it converged. If the sign
+            does not change, found is False, and t and state are those at the end of the search. If the sign changes at
+            a pole or a jump of the condition, or if rounding errors of the condition hide the time of its root, found
+            is False, and t and state are those of the change.
     """
 
     t: Array
@@ -224,8 +226,9 @@ def _nearby(t0: Array | None, t1: Array | None, like: Array) -> Array:
 
 
 def _above_underflow(change: Array) -> Array:
-    """The distance from a root at which a condition that changes so much in a step is a normal number."""
-    return jnp.minimum(8 * jnp.finfo(change.dtype).tiny / jnp.abs(change), 0.5)
+    """The fraction of a step from a root at which a condition that changes so much in it does not underflow."""
+    change = lax.stop_gradient(change)
+    return jnp.minimum(8 * jnp.finfo(change.dtype).tiny / jnp.abs(change), _RIGHT_TO_UNDERFLOW)
 
 
 def _root(step: Step, bracket: _Bracket, dt: Array, condition: _Condition) -> tuple[Array, Array]:
