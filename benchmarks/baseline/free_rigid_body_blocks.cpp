@@ -2,7 +2,7 @@
 // each block of kBlock bodies makes all its steps while its numbers stay in the first cache, and every line of the inner
 // loop is an instruction for a whole vector of bodies. This is what machine code of `li.run` does, by hand.
 //
-//   midpoint   m by three Halley steps (Newton's on f/√f') in each step
+//   midpoint   m by three Newton steps on the quartic, in each step
 //   explicit   m once for a trajectory, of which it is a constant
 
 #include "body.hpp"
@@ -26,7 +26,7 @@ void advance(T* q, const T* p, T* worst, std::uint8_t* converged, std::int64_t b
              const double* inertia) {
   using Flag = typename Newton<T>::Flag;
   const double r = 1 / (inertia[0] + inertia[1] + inertia[2]);
-  const Scalar<T> solve({T(r * inertia[0]), T(r * inertia[1]), T(r * inertia[2])});
+  const Scalar<T, false> solve({T(r * inertia[0]), T(r * inertia[1]), T(r * inertia[2])});
   const T scale = T(0.5 * r * dt), tolerance = 32 * std::numeric_limits<T>::epsilon();
   for (std::int64_t first = 0; first < bodies; first += kBlock) {
     Block<T> b;

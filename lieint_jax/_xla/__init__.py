@@ -18,8 +18,10 @@ which runs what has no machine code, handles the same equations well with these 
     a long one in reverse mode, and none in reverse mode if it is a `while_loop`. So it is always differentiated in
     forward mode.
 
-`differ`, `with_common_axes`, `with_common_mesh`, `result_like`, `axis_spread`, `unchecked`: Inside `jax.shard_map` the types of arrays say
-    between which devices they differ, and over a mesh of explicit axes over which devices they are spread. A loop of the package has them, the step that it repeats is traced without.
+`differ`, `with_common_axes`, `result_like`, `unchecked`: Inside `jax.shard_map` the types of arrays say between which
+    devices they differ. A loop of the package has them, the step that it repeats is traced without.
+`with_common_mesh`, `axis_spread`: Over a mesh of explicit axes the types of arrays say over which devices they are
+    spread.
 
 `compiled` is `jax.jit` with options that halve the compile time of the package's own programs; `jit` is the same for
 those of users. `Recent` stores the programs used last, for all threads.

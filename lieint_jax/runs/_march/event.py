@@ -212,7 +212,7 @@ def _brackets(
         assert isinstance(max_steps, int)
         (end, _), search = scanned(step_and_look, 0, max_steps, search)
     there = jnp.arange(count) < search.number
-    last = none._replace(state=end, n=none.n + max_steps)
+    last = none._replace(state=end, n=jnp.asarray(max_steps, none.n.dtype))
     return jax.tree.map(lambda x, y: jnp.where(there.reshape(-1, *[1] * y.ndim), x, y), search.buffer, last)
 
 
