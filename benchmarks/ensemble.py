@@ -148,8 +148,8 @@ def sizes(quick: bool, _: int) -> Any:
 def whole_runs(quick: bool, _: int) -> Any:
     """Rates of whole calls of `ensemble.run`, and of C++ that keeps the same reports, for 1000 bodies.
 
-    "C++" is a loop over steps of a loop over bodies, which g++ vectorizes; "C++ in blocks" one over blocks of bodies, of
-    which each makes all steps, as machine code of `ensemble.run` does.
+    "C++" is a loop over steps of a loop over bodies, which g++ vectorizes; "C++ in blocks" one over blocks of bodies,
+    each of which makes all steps, as machine code of `ensemble.run` does.
     """
     from lib import cpp, measure, tops
 
@@ -175,8 +175,7 @@ def whole_runs(quick: bool, _: int) -> Any:
             calls[f"{name}|{kind}"] = lambda rival=rival, loaded=loaded: rival.advance(loaded, n)
     seconds = best(calls, 3 if quick else 20, time.process_time)  # of this process, which others may interrupt
     return [
-        {"name": name, "bar": bar}
-        | {kind: 1000 * n / seconds[f"{name}|{kind}"] for kind in ("ours", *rivals)}
+        {"name": name, "bar": bar} | {kind: 1000 * n / seconds[f"{name}|{kind}"] for kind in ("ours", *rivals)}
         for name, _, rivals, bar in entries
     ]
 
@@ -376,11 +375,12 @@ def whole_runs_table(found: Any) -> list[str]:
     for r in found:
         ratio = r["ours"] / r["C++"]
         blocks = r.get("C++ in blocks", float("nan"))
-        cells = [*(f"{x / 1e6:.3g}" for x in (r["ours"], r["C++"], blocks)), f"{r['ours'] / blocks:.2f}", f"{ratio:.2f}"]
-        rows.append([r["name"], *cells, f"≥ {r['bar']:g}", report.verdict(ratio, ratio >= r["bar"])])
+        rates = (f"{x / 1e6:.3g}" for x in (r["ours"], r["C++"], blocks))
+        ratios = (f"{x:.2f}" for x in (r["ours"] / blocks, ratio))
+        rows.append([r["name"], *rates, *ratios, f"≥ {r['bar']:g}", report.verdict(ratio, ratio >= r["bar"])])
     title = (
-        "Millions of body-steps a second of whole calls of `ensemble.run`, 1000 bodies × 10 000 steps, one core; C++ as "
-        "a loop over steps of a loop over bodies, and over blocks of 16 bodies, each of which makes all steps"
+        "Millions of body-steps a second of whole calls of `ensemble.run`, 1000 bodies × 10 000 steps, one core; C++ "
+        "as a loop over steps of a loop over bodies, and over blocks of 16 bodies, each of which makes all steps"
     )
     head = ["", "ours", "C++", "C++ in blocks", "ours ÷ C++ in blocks", "ours ÷ C++", "bar", ""]
     return [title, report.table(head, rows)]
