@@ -35,7 +35,6 @@ TRACED = {  # functions of one integer, and its value
     "reverse mode (num_steps)": (lambda n: slope(num_steps=n), 4),
     "reverse mode (save_every)": (lambda n: slope(num_steps=4, save_every=n), 2),
     "reversible": (lambda n: slope(num_steps=4, save_every=n, adjoint=li.adjoints.ReversibleAdjoint()), 4),
-    "checkpoints": (lambda n: slope(num_steps=4, save_every=2, adjoint=li.adjoints.RecursiveCheckpointAdjoint(n)), 2),
     "scan(length)": (lambda n: jax.grad(lambda c: li.scan(logistic, c, length=n)[0])(0.5), 4),
     "scan(every)": (lambda n: jax.grad(lambda c: li.scan(logistic, c, length=4, every=n)[0])(0.5), 2),
     "event(max_steps)": (lambda n: li.event(STEP, STATE, 0.1, level, n), 5),

@@ -480,9 +480,9 @@ def test_carries_have_the_types_that_lax_scan_gives_them(change):
 
 def test_weakly_typed_carries_have_the_values_of_lax_scan():
     def step(c, _):
-        return (c[1] / 2, c[0] + np.float32(0.5)), c[0]
+        return (c[1] / np.float32(2), c[0] + np.float32(0.5)), c[0]
 
     for scan in (li.scan, lax.scan):
         (a, b), path = scan(step, (1, 0.25), length=4)
         assert (a.dtype, b.dtype, path.dtype) == (np.float32,) * 3
-        np.testing.assert_array_equal([a, b, *path], [0.5625, 0.6875, 1.0, 0.125, 0.75, 0.3125])
+        np.testing.assert_array_equal([a, b, *path], [0.625, 0.8125, 1.0, 0.125, 0.75, 0.3125])
