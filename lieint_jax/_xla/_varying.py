@@ -44,10 +44,10 @@ def with_common_mesh(arguments: Tree) -> Tree:
     mesh = next((x for x in meshes if AxisType.Explicit in x.axis_types), None)
 
     def on_mesh(x: Value) -> Value:
-        has_none = mesh is not None and _type(x).sharding.mesh.empty
-        return reshard(x, NamedSharding(mesh, PartitionSpec(*[None] * x.ndim))) if has_none else x
+        whole: Any = NamedSharding(mesh, PartitionSpec(*[None] * x.ndim))
+        return reshard(x, whole) if _type(x).sharding.mesh.empty else x
 
-    return jax.tree.map(on_mesh, arguments)
+    return arguments if mesh is None else jax.tree.map(on_mesh, arguments)
 
 
 def result_like(

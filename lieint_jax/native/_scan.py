@@ -115,7 +115,8 @@ def _carried_types(f: Callable[[Any, Any], Any], init: Any, xs: Any) -> tuple[An
         carried = [_common_type(x, y) if x.weak_type else x for x, y in zip(carried, found, strict=True)]
         found = after()
     init = jax.tree.unflatten(structure, [jnp.asarray(x, t.dtype) for x, t in zip(given, carried, strict=True)])
-    return init, *(tuple(x.weak_type for x in of) for of in (carried, found))
+    before, after_step = (tuple(x.weak_type for x in of) for of in (carried, found))
+    return init, before, after_step
 
 
 def _common_type(x: Any, y: Any) -> Any:

@@ -95,9 +95,9 @@ def events(
 ) -> Event:
     """The first `count` events as in `event`, every leaf with a leading axis (count,)."""
     max_steps, count = _checks.count("max_steps", max_steps, 1), _checks.count("count", count, 1)
-    given, direction = direction, _checks.integer(direction)
-    if direction not in (-1, 0, 1):
-        raise ValueError(f"direction must be −1 (falling), 1 (rising) or 0 (both), got {given!r}")
+    sign = _checks.integer(direction)
+    if sign not in (-1, 0, 1):
+        raise ValueError(f"direction must be −1 (falling), 1 (rising) or 0 (both), got {direction!r}")
     if not callable(condition):
         raise ValueError(f"condition must be a function of the state with a scalar value, got {condition!r}")
     step, state, dtype = promoted(checked_step(step), state)
@@ -113,10 +113,10 @@ def events(
         clock, max_steps = halved(clock), parts * max_steps
     given = step, state, clock, callable_pytree(condition)
     if count <= _FEW and max_steps <= MOST_COUNTED and stands_alone(given):
-        found = _of_any_length(*given, np.int32(max_steps), (count, direction))
+        found = _of_any_length(*given, np.int32(max_steps), (count, sign))
         if concrete(found):  # else the condition closes over a tracer
             return found
-    return _of_known_length(*given, max_steps, (count, direction))
+    return _of_known_length(*given, max_steps, (count, sign))
 
 
 class _Bracket(NamedTuple):
