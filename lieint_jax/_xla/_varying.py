@@ -41,7 +41,7 @@ def with_common_mesh(arguments: Tree) -> Tree:
     JAX cannot join a constant, whose type names no mesh, to an array of which vmap spreads the members over one.
     """
     meshes = (_type(x).sharding.mesh for x in jax.tree.leaves(arguments))
-    mesh = next((x for x in meshes if AxisType.Explicit in x.axis_types), None)
+    mesh: Any = next((x for x in meshes if AxisType.Explicit in x.axis_types), None)
 
     def on_mesh(x: Value) -> Value:
         whole: Any = NamedSharding(mesh, PartitionSpec(*[None] * x.ndim))

@@ -68,7 +68,7 @@ def invariant_forms(E: np.ndarray) -> list[np.ndarray]:
     found = np.eye(n * n).reshape(-1, n, n)
     for e in E:
         change = e.T @ found + found @ e
-        found = np.tensordot(null_by_blocks(change.reshape(len(found), -1).T), found, 1)
+        found = np.tensordot(null_by_blocks(change.reshape(len(found), n * n).T), found, 1)
     return [round_entries(S / np.abs(S).max()) for S in found]
 
 
