@@ -7,6 +7,7 @@ import contextlib
 import contextvars
 import functools
 import math
+import operator
 import os
 import re
 import reprlib
@@ -352,15 +353,35 @@ def choice(name: str, value: Input, allowed: Iterable[str]) -> str:
     return value
 
 
+def integer(value: Input) -> int | None:
+    """A concrete integer of Python, NumPy or JAX, also a scalar array, as a Python int; else None, as for a bool."""
+    if isinstance(value, bool) or not jnp.issubdtype(dtype_of(value) or np.int64, np.integer):
+        return None
+    try:
+        return operator.index(value)
+    except TypeError:  # no integer, several of them, or a tracer
+        return None
+
+
 def count(name: str, value: Input, least: int) -> int:
     """An integer ≥ `least`, as a Python int; at most 2⁵³, or 2³¹ − 1 where jax_enable_x64 is off."""
-    if isinstance(value, bool) or not isinstance(value, int | np.integer) or value < least:
-        raise ValueError(f"{name} must be an integer ≥ {least}, got {value!r}")
+    given, value = value, integer(value)
+    if value is None or value < least:
+        raise ValueError(f"{name} must be an integer ≥ {least}, got {given!r}")
     most = min(_LARGEST_COUNT, jnp.iinfo(jax.dtypes.canonicalize_dtype(np.int64)).max)
     if value > most:
         more = "" if most == _LARGEST_COUNT else " without jax_enable_x64"
         raise ValueError(f"{name} must be at most {most:.16g}{more}, got {value:.6g}: split it into several runs")
-    return int(value)
+    return value
+
+
+def listed(name: str, value: Input, allowed: Iterable[int], advice: str = "") -> int:
+    """An integer that is one of those allowed, as a Python int."""
+    numbers, found = list(allowed), integer(value)
+    if found not in numbers:
+        *most, last = map(str, numbers)
+        raise ValueError(f"{name} must be {', '.join(most)} or {last}, got {value!r}{advice}")
+    return cast("int", found)
 
 
 def nearest_multiples(value: int, of: int) -> str:

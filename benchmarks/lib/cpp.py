@@ -57,6 +57,12 @@ def symplectic(
     return _contestant(f"C++ symplectic, {form} form", function, inertia, dt, dtype, narrow)
 
 
+def in_blocks(scheme: Literal["midpoint", "explicit"], inertia: Sequence[float], dt: float) -> Contestant:
+    """The same step, or the one that computes m once, vectorized over blocks of bodies that make all steps at once."""
+    function = getattr(library("free_rigid_body_blocks")[0], f"{scheme}_float64")
+    return _contestant(f"C++ in blocks, {scheme}", function, inertia, dt, "float64", narrow=True)
+
+
 def top(
     scheme: Literal["splitting", "energy_momentum"], inertia: Sequence[float], weight: Sequence[float], dt: float
 ) -> Contestant:

@@ -20,9 +20,11 @@ which runs what has no machine code, handles the same equations well with these 
 
 `differ`, `with_common_axes`, `result_like`, `unchecked`: Inside `jax.shard_map` the types of arrays say between which
     devices they differ. A loop of the package has them, the step that it repeats is traced without.
+`with_common_mesh`, `axis_spread`: Over a mesh of explicit axes the types of arrays say over which devices they are
+    spread.
 
 `compiled` is `jax.jit` with options that halve the compile time of the package's own programs; `jit` is the same for
-those of users.
+those of users. `Recent` stores the programs used last, for all threads.
 """
 
 from lieint_jax._xla._compile import compiled, jit
@@ -35,9 +37,12 @@ from lieint_jax._xla._materialize import (
     unfused,
     with_materialized_derivatives,
 )
-from lieint_jax._xla._varying import differ, result_like, unchecked, with_common_axes
+from lieint_jax._xla._recent import Recent
+from lieint_jax._xla._varying import axis_spread, differ, result_like, unchecked, with_common_axes, with_common_mesh
 
 __all__ = [
+    "Recent",
+    "axis_spread",
     "compiled",
     "differ",
     "forward_mode",
@@ -51,5 +56,6 @@ __all__ = [
     "unchecked",
     "unfused",
     "with_common_axes",
+    "with_common_mesh",
     "with_materialized_derivatives",
 ]

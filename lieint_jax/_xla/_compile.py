@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import collections
 import functools
 from collections.abc import Callable, Collection, Sequence
 from typing import Any, TypeVar, cast
@@ -10,6 +9,7 @@ from typing import Any, TypeVar, cast
 import jax
 
 from lieint_jax._checks import outermost
+from lieint_jax._xla._recent import Recent
 
 Tree = Any  # a tree of arrays
 _Function = TypeVar("_Function", bound=Callable[..., Tree])
@@ -63,7 +63,7 @@ def compiled(function: _Function, static_argnums: int | tuple[int, ...] = (), on
     plain = jax.jit(function, static_argnums=static_argnums, inline=True)
     static = (static_argnums,) if isinstance(static_argnums, int) else static_argnums
     options = _ONCE if once else _QUICKLY
-    kept: collections.OrderedDict[object, Callable[..., Tree]] = collections.OrderedDict()
+    programs = Recent()
 
     @functools.wraps(function)
     def call(*arguments: Tree, **named: Tree) -> Tree:
@@ -74,14 +74,11 @@ def compiled(function: _Function, static_argnums: int | tuple[int, ...] = (), on
         kind = tuple(fixed.items()), jax.tree.structure((given, named))
 
         def attempt(names: Sequence[str]) -> Tree:
-            key = kind, tuple(names)
-            program = kept.pop(key, None)
-            if program is None:
+            def make() -> Callable[..., Tree]:
                 own = functools.wraps(function)(_with_fixed(function, fixed))
-                program = jax.jit(own, compiler_options={name: options[name] for name in names} or None)
-            kept[key] = program
-            while len(kept) > _MOST_KEPT:
-                kept.popitem(last=False)
+                return jax.jit(own, compiler_options={name: options[name] for name in names} or None)
+
+            program = programs.get((tuple(names), kind), make, _MOST_KEPT)
             return program(*given, **named)
 
         return _with_known(options, attempt)

@@ -9,7 +9,7 @@ from typing import Any
 import jax
 from jax import lax
 from jax.core import ShapedArray
-from jax.sharding import PartitionSpec
+from jax.sharding import AxisType, NamedSharding, PartitionSpec, reshard
 
 from lieint_jax._xla._compile import Tree
 
@@ -35,13 +35,38 @@ def with_common_axes(arguments: Tree) -> Tree:
     return jax.tree.map(like_others, arguments) if axes else arguments
 
 
-def result_like(given: Sequence[Value], shape: Sequence[int], dtype: Any) -> ShapedArray:
-    """The type of a result, given all arguments, which are of `with_common_axes`."""
-    like = next((_type(x) for x in given if _axes_of(x)), None)
+def with_common_mesh(arguments: Tree) -> Tree:
+    """The same arrays, all of the mesh of explicit axes that the type of one names, if one does.
+
+    JAX cannot join a constant, whose type names no mesh, to an array of which vmap spreads the members over one.
+    """
+    meshes = (_type(x).sharding.mesh for x in jax.tree.leaves(arguments))
+    mesh: Any = next((x for x in meshes if AxisType.Explicit in x.axis_types), None)
+
+    def on_mesh(x: Value) -> Value:
+        whole: Any = NamedSharding(mesh, PartitionSpec(*[None] * x.ndim))
+        return reshard(x, whole) if _type(x).sharding.mesh.empty else x
+
+    return arguments if mesh is None else jax.tree.map(on_mesh, arguments)
+
+
+def result_like(
+    given: Sequence[Value], shape: Sequence[int], dtype: Any, place: int | None = None, spread: Any = None
+) -> ShapedArray:
+    """The type of a result, given all arguments, which are of `with_common_axes`.
+
+    Over a mesh the type says how its axis `place` is spread: as `axis_spread` of an argument.
+    """
+    like = next((x for x in map(_type, given) if not x.sharding.mesh.empty), None)
     if like is None:
         return ShapedArray(tuple(shape), dtype)
-    sharding = like.sharding.update(spec=PartitionSpec(*[None] * len(shape)))
-    return like.update(shape=tuple(shape), dtype=dtype, weak_type=False, sharding=sharding)
+    spec = PartitionSpec(*(spread if k == place else None for k in range(len(shape))))
+    return like.update(shape=tuple(shape), dtype=dtype, weak_type=False, sharding=like.sharding.update(spec=spec))
+
+
+def axis_spread(x: Value, place: int) -> Any:
+    """The axes of a mesh over which an axis of an array is spread, where its type says so (explicit axes); or None."""
+    return _type(x).sharding.spec[place]
 
 
 def unchecked() -> contextlib.AbstractContextManager[Any]:

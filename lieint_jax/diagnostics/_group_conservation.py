@@ -10,6 +10,7 @@ import jax.numpy as jnp
 import numpy as np
 from jax import Array
 
+from lieint_jax import _checks
 from lieint_jax.diagnostics._series import energy_error
 from lieint_jax.diagnostics._symplectic import symplectic_defect
 from lieint_jax.groups import MatrixGroup
@@ -46,7 +47,7 @@ def random_geodesic(group: MatrixGroup, seed: int = 0) -> tuple[Euler, State]:
 
     Its arithmetic is that of whole arrays in place of unrolled loops: quick to compile, but slow to run.
     """
-    rng, d = np.random.default_rng(seed), group.dim
+    rng, d = np.random.default_rng(_checks.count("seed", seed, 0)), group.dim
     A, v, xi = rng.normal(size=(d, d)), rng.normal(size=d), rng.normal(size=d) / 3
     plain = MatrixGroup(group.basis, group.name, unrolled=False)
     system = Euler(jnp.asarray(A @ A.T / d + np.eye(d)), plain)
@@ -66,6 +67,7 @@ def group_conservation(group: MatrixGroup, tau: Map, metrics: int = 4) -> GroupC
         tau: one of the maps that are defined on it, `maps.defined_on(group)`.
         metrics: their number.
     """
+    metrics = _checks.count("metrics", metrics, 1)
     dt, steps = (0.1, 1000) if group.has_bounded_adjoint else (0.05, 100)
     systems, states = zip(*(random_geodesic(group, seed) for seed in range(metrics)), strict=True)
     stacked = [jax.tree.map(lambda *x: jnp.stack(x), *trees) for trees in (systems, states)]

@@ -60,8 +60,7 @@ def modified_energy(step: Step, state: State, dt: ArrayLike, order: int = 4) -> 
 
     Source: Hairer, Lubich & Wanner, Geometric Numerical Integration, IX.3 and III.4.2; T₂: this package.
     """
-    if order not in (4, 6):
-        raise ValueError(f"order must be 4 (H₂) or 6 (H₂ and H₄), got {order!r}")
+    order = _checks.listed("order", order, (4, 6), "; 4 includes H₂, 6 also H₄")
     step, state, dtype = promoted(checked_step(step), state)
     if not isinstance(step, Splitting | GyrostatSplitting):
         raise ValueError(

@@ -6,8 +6,9 @@ import jax
 import jax.numpy as jnp
 from jax import Array, lax
 
-from lieint_jax._checks import all_plain
+from lieint_jax import _checks
 from lieint_jax.diagnostics._order import flow
+from lieint_jax.runs import saves
 from lieint_jax.types import State, Step, System
 from lieint_jax.types.tangent import orthonormalize, units_at_start, value_and_jacobian
 
@@ -28,8 +29,8 @@ def exponents_of_flow(system: System, state: State, t: float, pieces: int) -> Ar
     Returns:
         (2d,), in the order of the coordinates of the phase space, 1/time.
     """
-    all_plain(t=t)
-    space = system.phase_space
+    _checks.all_plain(t=t)
+    pieces, space = _checks.count("pieces", pieces, 1), system.phase_space
     unit = units_at_start(system, state)[:, None]
 
     def step_once(carry: tuple[State, Array, Array], _: None) -> tuple[tuple[State, Array, Array], None]:
@@ -57,7 +58,9 @@ def exponent_of_neighbors(
 
     Source: Benettin, Galgani & Strelcyn 1976, Phys. Rev. A 14, 2338.
     """
-    all_plain(dt=dt, distance=distance)
+    _checks.all_plain(dt=dt, distance=distance)
+    every = _checks.count("every", every, 1)
+    rounds = saves(_checks.count("num_steps", num_steps, 1), every)
     space = step.system.phase_space
     unit = units_at_start(step.system, state)
 
@@ -72,5 +75,5 @@ def exponent_of_neighbors(
         return (a, space.perturb(a, unit * delta * (distance / size)), total + jnp.log(size / distance)), None
 
     first = jnp.zeros(space.dim).at[0].set(distance)
-    start, count = (state, space.perturb(state, unit * first), jnp.zeros(())), num_steps // every
-    return lax.scan(step_once, start, None, length=count)[0][2] / (dt * every * count)
+    start = state, space.perturb(state, unit * first), jnp.zeros(())
+    return lax.scan(step_once, start, None, length=rounds)[0][2] / (dt * every * rounds)

@@ -11,6 +11,7 @@ from jax import Array, lax
 from jax.flatten_util import ravel_pytree
 from jax.typing import ArrayLike
 
+from lieint_jax import _checks
 from lieint_jax._checks import as_array, concrete, plain
 from lieint_jax._numerics import collocation
 from lieint_jax._xla import compiled
@@ -36,7 +37,7 @@ def flow(system: System, state: State, t: ArrayLike, num_steps: int) -> State:
 
     Source: Hairer, Lubich & Wanner, Geometric Numerical Integration, II.1.3.
     """
-    return _flow(system, state, plain("t", t), num_steps)
+    return _flow(system, state, plain("t", t), _checks.count("num_steps", num_steps, 1))
 
 
 @partial(compiled, static_argnums=3)
@@ -76,6 +77,7 @@ def order(step: Step, state: State, dt: float, num_steps: int = 8) -> float:
         The slope of log error against log step size, over the converged runs with errors above the floor of round-off;
         inf if there are fewer than two such runs, that is, if no error is measurable.
     """
+    num_steps = _checks.count("num_steps", num_steps, 1)
     most = 4 * num_steps
     step, state, _ = _measure.checked(step, state, dt, most)
     return fitted_order(step, state, dt, num_steps, most)

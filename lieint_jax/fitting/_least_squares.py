@@ -110,7 +110,7 @@ def least_squares(
         code = jnp.where(jnp.isfinite(loss), code, NOWHERE)
         beyond = ok & ~begun & (jnp.isinf(loss) | (loss == 0) & jnp.any(r != 0))
         code = jnp.where(beyond, BEYOND, code)
-        return Carry(x, loss, memory, code.astype(jnp.int32), bad, carry.failures + ~ok)
+        return Carry(x, loss, memory, code.astype(jnp.int32), bad, carry.failures + (~ok).astype(jnp.int32))
 
     return Method(first, iterate)
 

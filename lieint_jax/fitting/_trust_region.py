@@ -77,7 +77,7 @@ def _change(M: Array, c: Array, radius: Array, low: Array, high: Array, state: _
     meets = part[first] < 1
     z = z + jnp.minimum(part[first], 1) * path
     z = jnp.where(meets, z.at[first].set(end[first]), z)
-    pull = (M.T @ (M @ z + c) + damping * z) * side  # positive where a held coordinate wants back inside
+    pull = (M.T @ (M @ z + c) + damping * z) * side.astype(z.dtype)  # positive where a held one wants back
     free = jnp.argmax(pull)
     inwards = ~meets & (pull[free] > 8 * jnp.finfo(c.dtype).eps * jnp.linalg.norm(M[:, free]) * jnp.linalg.norm(c))
     side = jnp.where(meets, side.at[first].set(jnp.sign(path[first]).astype(side.dtype)), side)

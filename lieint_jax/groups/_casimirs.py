@@ -15,7 +15,7 @@ import math
 
 import numpy as np
 
-from lieint_jax.groups.bases import null, round_entries
+from lieint_jax.groups.bases import null_by_blocks, round_entries
 
 _TOLERANCE = 1e-9
 _DEGREE, _MONOMIALS = 4, 1000  # the highest degree, and the most monomials of one degree: these need about a second
@@ -79,25 +79,8 @@ def _invariants(structure: np.ndarray, degree: int) -> tuple[np.ndarray, np.ndar
     for c in structure:
         bracket = np.zeros((len(monomials), len(monomials)))  # μ_j ↦ Σ c_jk μ_k in each factor
         np.add.at(bracket, (rows, columns), c[factors, np.arange(d)[:, None]])
-        found = _null_by_blocks(bracket @ found.T) @ found
+        found = null_by_blocks(bracket @ found.T, _TOLERANCE) @ found
     return monomials, _echelon(found)
-
-
-def _null_by_blocks(M: np.ndarray) -> np.ndarray:
-    """A basis of the null space of M, as rows: block by block, since M has few entries and its SVD is slow."""
-    rows, columns = np.nonzero(np.abs(M) > _TOLERANCE)
-    block, last = np.arange(M.shape[1]), np.zeros(0)  # each column with the first one that is linked to it by rows
-    while not np.array_equal(block, last):
-        last, first = block.copy(), np.full(len(M), M.shape[1])
-        np.minimum.at(first, rows, block[columns])
-        np.minimum.at(block, columns, first[rows])
-    found = [np.zeros((0, M.shape[1]))]
-    for label in np.unique(block):
-        inside = block == label
-        vectors = null(M[np.ix_(np.unique(rows[inside[columns]]), inside)], _TOLERANCE)
-        found.append(np.zeros((len(vectors), M.shape[1])))
-        found[-1][:, inside] = vectors
-    return np.concatenate(found)
 
 
 def _echelon(rows: np.ndarray) -> np.ndarray:

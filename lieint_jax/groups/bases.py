@@ -58,11 +58,18 @@ def ideals(c: np.ndarray) -> list[list[int]]:
 
 
 def invariant_forms(E: np.ndarray) -> list[np.ndarray]:
-    """A basis of the matrices S with EᵀS + SE = 0 for every E."""
+    """A basis of the matrices S with EᵀS + SE = 0 for every E.
+
+    The equations of one E after the other, each for those S that are left: all at once are d n² equations for n²
+    unknowns. In a product of groups each E has entries in the rows and columns of one factor only, so its equations
+    link the entries of S in one pair of factors, and the null space is found pair by pair.
+    """
     n = E.shape[1]
-    one = np.eye(n)
-    equations = np.concatenate([np.kron(e.T, one) + np.kron(one, e.T) for e in E])
-    return [round_entries(S / np.abs(S).max()) for S in null(equations).reshape(-1, n, n)]
+    found = np.eye(n * n).reshape(-1, n, n)
+    for e in E:
+        change = e.T @ found + found @ e
+        found = np.tensordot(null_by_blocks(change.reshape(len(found), n * n).T), found, 1)
+    return [round_entries(S / np.abs(S).max()) for S in found]
 
 
 def algebra(E: np.ndarray) -> np.ndarray:
@@ -71,8 +78,13 @@ def algebra(E: np.ndarray) -> np.ndarray:
     span = E
     while True:
         products = np.concatenate([span, np.einsum("iab,jbc->ijac", span, E).reshape(-1, n, n)])
-        _, values, rows = np.linalg.svd(products.reshape(len(products), -1), full_matrices=False)
-        larger = rows[values > TOLERANCE * values[0]].reshape(-1, n, n)
+        flat = products.reshape(len(products), -1)
+        used = flat.any(axis=0)  # in a product of groups the entries of its factors only
+        _, values, rows = np.linalg.svd(flat[flat.any(axis=1)][:, used], full_matrices=False)
+        rows = rows[values > TOLERANCE * values[0]]
+        larger = np.zeros((len(rows), n * n))
+        larger[:, used] = rows
+        larger = larger.reshape(-1, n, n)
         if len(larger) == len(span):
             return larger
         span = larger
@@ -82,6 +94,23 @@ def null(M: np.ndarray, tolerance: float = TOLERANCE) -> np.ndarray:
     """An orthonormal basis of the null space of M, as rows."""
     _, values, rows = np.linalg.svd(M)
     return rows[int(np.sum(values > tolerance * max(1.0, values.max(initial=0)))) :]
+
+
+def null_by_blocks(M: np.ndarray, tolerance: float = TOLERANCE) -> np.ndarray:
+    """A basis of the null space of M, as rows: block by block, since M has few entries and its SVD is slow."""
+    rows, columns = np.nonzero(np.abs(M) > tolerance)
+    block, last = np.arange(M.shape[1]), np.zeros(0)  # each column with the first one that is linked to it by rows
+    while not np.array_equal(block, last):
+        last, first = block.copy(), np.full(len(M), M.shape[1])
+        np.minimum.at(first, rows, block[columns])
+        np.minimum.at(block, columns, first[rows])
+    found = [np.zeros((0, M.shape[1]))]
+    for label in np.unique(block):
+        inside = block == label
+        vectors = null(M[np.ix_(np.unique(rows[inside[columns]]), inside)], tolerance)
+        found.append(np.zeros((len(vectors), M.shape[1])))
+        found[-1][:, inside] = vectors
+    return np.concatenate(found)
 
 
 def round_entries(x: np.ndarray, tolerance: float | np.ndarray | None = None) -> np.ndarray:

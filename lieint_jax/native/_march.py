@@ -18,7 +18,7 @@ from jax.core import ShapedArray, Tracer
 from jax.extend.core import ClosedJaxpr, Primitive, jaxpr_as_fun
 
 from lieint_jax._checks import outermost
-from lieint_jax._xla import differ, result_like, unchecked, with_common_axes
+from lieint_jax._xla import axis_spread, differ, result_like, unchecked, with_common_axes
 
 Tree = Any  # a tree of arrays
 AnyArray = Any  # an array, or what stands for one in JAX: a tracer, a shape, a tangent
@@ -295,8 +295,13 @@ def hoisted(function: Callable[..., Tree], *examples: Tree) -> tuple[Callable[..
 @march_p.def_abstract_eval
 def _shapes(*given: ShapedArray, loop: Loop) -> list[ShapedArray]:
     lead = () if loop.members is None else (loop.members,)
+    of_members = (axis_spread(x, loop.is_series(k)) for k, x in enumerate(given) if lead and loop.owns[k])
+    spread = next((x for x in of_members if x is not None), None)
     rows = [()] * loop.carried + [(loop.rows,)] * (len(loop.step.out_avals) - loop.carried)
-    return [result_like(given, (*r, *lead, *x.shape), x.dtype) for r, x in zip(rows, loop.step.out_avals, strict=True)]
+    return [
+        result_like(given, (*r, *lead, *x.shape), x.dtype, len(r) if lead else None, spread)
+        for r, x in zip(rows, loop.step.out_avals, strict=True)
+    ]
 
 
 @march_p.def_impl

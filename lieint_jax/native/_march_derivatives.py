@@ -18,6 +18,7 @@ from jax import lax
 from jax.extend.core import ClosedJaxpr, DropVar, JaxprEqn, Var, new_jaxpr_eqn, set_current_trace
 from jax.interpreters import ad, partial_eval
 
+from lieint_jax._xla import with_common_mesh
 from lieint_jax.native._march import (
     AnyArray,
     AnyArrays,
@@ -300,7 +301,7 @@ partial_eval.partial_eval_jaxpr_custom_rules[march_p] = _partial_eval_of_equatio
 def _in_pieces(loop: Loop, *arguments: AnyArray) -> Arrays:
     """A loop as a scan over pieces; reverse mode stores the carries before each, and computes all else again."""
     length = math.isqrt(loop.steps - 1) + 1
-    carry, fixed, series = loop.split(arguments)
+    carry, fixed, series = loop.split(with_common_mesh(arguments))  # as the results of pieces are, which scan carries
     first = jnp.zeros((), loop.step.in_avals[0].dtype)
     if loop.known_every <= length:
         rows = length // loop.known_every

@@ -6,8 +6,11 @@ from collections.abc import Callable
 from typing import Any, NamedTuple, TypeVar
 
 import jax
+import jax.numpy as jnp
 import numpy as np
+from jax import lax
 
+from lieint_jax import _checks
 from lieint_jax.native import _march_derivatives, _march_members  # noqa: F401  # the rules of the primitive
 from lieint_jax.native._march import march
 
@@ -56,6 +59,8 @@ def scan(
         >>> path.shape
         (2, 2)
     """
+    length = None if length is None else _checks.count("length", length, 0)
+    every = _checks.count("every", every, 1)
     shapes = [np.shape(x) for x in jax.tree.leaves(xs)]
     lengths = {shape[:1] for shape in shapes} | ({(length,)} if length is not None else set())
     if len(lengths) != 1 or () in lengths:
@@ -64,15 +69,72 @@ def scan(
             f"got length={length} and xs of shapes {shapes}"
         )
     [(steps,)] = lengths
-    if every < 1 or steps % every:
+    if steps % every:
         raise ValueError(f"every must divide the number of steps, {steps}, got {every}")
-    return march(_Unnumbered(f), init, xs, rows=steps // every, every=every, reverse=reverse)
+    init, weak, weak_after = _carried_types(f, init, xs)
+    carry, ys = march(_Unnumbered(f, weak), init, xs, rows=steps // every, every=every, reverse=reverse)
+    return _weakly_typed(carry, weak_after), ys
 
 
 class _Unnumbered(NamedTuple):
-    """A step that does not read its number, equal to another of the same function."""
+    """A step that does not read its number, equal to another of the same function.
+
+    Attributes:
+        f: the function.
+        weak: which arrays of the carry take the type of others, as Python's numbers do; none if it is empty.
+    """
 
     f: Callable[[Any, Any], tuple[Any, Any]]
+    weak: tuple[bool, ...] = ()
 
     def __call__(self, n: Any, carry: Any, x: Any) -> tuple[Any, Any]:
-        return self.f(carry, x)
+        return self.f(_weakly_typed(carry, self.weak), x)
+
+
+def _carried_types(f: Callable[[Any, Any], Any], init: Any, xs: Any) -> tuple[Any, tuple[bool, ...], tuple[bool, ...]]:
+    """The first carry in the types that `jax.lax.scan` carries, and which of its arrays are weakly typed before and
+    after a step.
+
+    Where f returns another type of a weakly typed array, such as a Python number, the array gets the type that they
+    have in common. Where it is not the type that f then returns, `march` says so.
+    """
+    given, structure = jax.tree.flatten(init)
+    carried = [jax.typeof(x) for x in given]
+    if not any(x.weak_type for x in carried):
+        return init, (), ()
+    row = jax.tree.map(lambda x: jax.ShapeDtypeStruct(np.shape(x)[1:], jax.typeof(x).dtype), xs)
+
+    def after() -> list[Any]:
+        shapes = [jax.ShapeDtypeStruct(x.shape, x.dtype, weak_type=x.weak_type) for x in carried]
+        result = jax.eval_shape(f, jax.tree.unflatten(structure, shapes), row)
+        found = jax.tree.leaves(result[0]) if isinstance(result, tuple) and len(result) == 2 else []
+        return found if len(found) == len(carried) else list(carried)  # of another structure, which `march` refuses
+
+    found = after()
+    if any(x.weak_type and x.dtype != y.dtype for x, y in zip(carried, found, strict=True)):
+        carried = [_common_type(x, y) if x.weak_type else x for x, y in zip(carried, found, strict=True)]
+        found = after()
+    init = jax.tree.unflatten(structure, [jnp.asarray(x, t.dtype) for x, t in zip(given, carried, strict=True)])
+    before, after_step = (tuple(x.weak_type for x in of) for of in (carried, found))
+    return init, before, after_step
+
+
+def _common_type(x: Any, y: Any) -> Any:
+    """The type of x, or of the kind of number that it and y have in common if y has another."""
+    if x.dtype == y.dtype:
+        return x
+    scalars = (jax.ShapeDtypeStruct((), of.dtype, weak_type=of.weak_type) for of in (x, y))
+    common = jax.eval_shape(lambda x, y: jnp.where(True, x, y), *scalars)
+    return jax.ShapeDtypeStruct(x.shape, common.dtype)
+
+
+def _weakly_typed(tree: Any, weak: tuple[bool, ...]) -> Any:
+    """A tree in which the arrays that are marked take the type of others."""
+    if not any(weak):
+        return tree
+    leaves, structure = jax.tree.flatten(tree)
+    made = [
+        lax.convert_element_type_p.bind(x, new_dtype=x.dtype, weak_type=True, sharding=None) if w else x
+        for x, w in zip(leaves, weak, strict=True)
+    ]
+    return jax.tree.unflatten(structure, made)

@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-import collections
 import functools
 import itertools
 from collections.abc import Callable, Sequence
-from typing import Any, NamedTuple, TypeVar, cast
+from typing import Any, NamedTuple, TypeVar
 
 import jax
 import numpy as np
@@ -16,6 +15,7 @@ from jax.extend.core import ClosedJaxpr, JaxprEqn
 from jax.typing import ArrayLike
 
 from lieint_jax._checks import dtype_of
+from lieint_jax._xla import Recent
 from lieint_jax.native._primitives.abstract_walk import (
     LARGEST,
     Rows,
@@ -198,7 +198,7 @@ def _dtype(x: ArrayLike | jax.ShapeDtypeStruct) -> np.dtype:
 
 
 _MOST_KEPT = 12  # of what is made once; each holds a jaxpr or a program of numbers, some MiB
-_cache: collections.OrderedDict[tuple[object, ...], object] = collections.OrderedDict()
+_cache = Recent()
 
 
 def make_once(
@@ -214,16 +214,14 @@ def make_once(
     leaves, structure = jax.tree.flatten(tuple(examples))
     shapes = tuple((np.shape(x), _dtype(x)) for x in leaves)
     key = kind, function, tuple(jax.tree.leaves(tuple(kinds))), jax.tree.structure(tuple(kinds)), structure, shapes
-    if key not in _cache:
+
+    def make() -> _Compiled | UnsupportedError:
         try:
-            _cache[key] = kind(function, kinds, examples)
+            return kind(function, kinds, examples)
         except UnsupportedError as reason:
-            _cache[key] = reason
-    found = _cache[key]
-    _cache.move_to_end(key)
-    alike = [key for key in _cache if key[0] is kind]
-    for old in alike[: max(0, len(alike) - _MOST_KEPT)]:
-        del _cache[old]
+            return reason
+
+    found = _cache.get(key, make, _MOST_KEPT)
     if isinstance(found, UnsupportedError):
         raise found
-    return cast("_Compiled", found)
+    return found

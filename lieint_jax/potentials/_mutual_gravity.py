@@ -192,8 +192,7 @@ def mutual_gravity(G: ArrayLike, shapes: Sequence[Shape | ArrayLike], order: int
     Source: Hou, Scheeres & Xin 2016, Celest. Mech. Dyn. Astron. 127, the same expansion by inertia integrals; here by
     trace-free moments.
     """
-    if isinstance(order, bool) or order not in (2, 3, 4):
-        raise ValueError(f"order must be 2, 3 or 4, got {order!r}")
+    order = _checks.listed("order", order, (2, 3, 4))
     if not isinstance(shapes, Sequence) or len(shapes) < 2:
         raise ValueError(f"shapes must be a list of two or more shapes or masses, got {shapes!r}")
     bodies = [_moments(k, shape, order) for k, shape in enumerate(shapes)]

@@ -25,7 +25,7 @@ import numpy as np
 from jax import Array, lax
 from jax.typing import ArrayLike
 
-from lieint_jax._checks import optional
+from lieint_jax._checks import listed, named, optional
 from lieint_jax._numerics.stages import compose_stages
 from lieint_jax.schemes._catalogue import SchemeProperties
 from lieint_jax.schemes._shared.compositions import METHODS
@@ -70,7 +70,7 @@ class Composition(Step):
     """
 
     step: Step
-    order: float = static()
+    order: Converted[int] = static(converter=named(listed, "order", _GENERAL))
     method: Converted[str] = static(converter=optional, default=None)
     symmetric: bool = static(default=True, init=False)
 
@@ -79,9 +79,7 @@ class Composition(Step):
         if not isinstance(step, Step) or not step.symmetric or step.order != 2:
             given = step.name if isinstance(step, Step) else step
             raise ValueError(f"compose needs a symmetric step of order 2, got {given!r}")
-        if order not in _GENERAL:
-            raise ValueError(f"order must be one of {', '.join(map(str, _GENERAL))}, got {order!r}")
-        default = f"commuting_{order}" if step.commuting else _GENERAL[int(order)]
+        default = f"commuting_{order}" if step.commuting else _GENERAL[order]
         method = default if self.method is None else self.method
         fitting = [name for name, m in METHODS.items() if m.order == order and (step.commuting or not m.counts)]
         if method not in fitting:

@@ -22,12 +22,13 @@ import numpy as np
 from jax import Array, lax
 from jax.typing import ArrayLike
 
+from lieint_jax._checks import listed, named
 from lieint_jax._numerics.stages import scan_stages
 from lieint_jax.capabilities import AbstractFreeBody, AbstractRigidBodies, AbstractTop
 from lieint_jax.schemes._catalogue import SchemeProperties
 from lieint_jax.schemes.charts._chart import PlainState, SeveralBodies
 from lieint_jax.schemes.charts.body_axes import BODY_AXES
-from lieint_jax.types import State, Step, StepInfo, System, laws_of, pytree, static
+from lieint_jax.types import Converted, State, Step, StepInfo, System, laws_of, pytree, static
 from lieint_jax.types.shapes import PyTree
 
 __all__ = ["Extrapolated", "extrapolate"]
@@ -74,15 +75,13 @@ class Extrapolated(Step):
     """
 
     system: System
-    order: float = static(default=12)
+    order: Converted[int] = static(converter=named(listed, "order", range(4, 21, 2)), default=12)
     form: str = static(init=False)  # the name of the chart in which it integrates
     increments: bool = static(default=True)
     symmetric: bool = static(default=False, init=False)
 
     def check_fields(self) -> dict[str, str]:
-        system, order = self.system, self.order
-        if isinstance(order, bool) or order not in range(4, 21, 2):
-            raise ValueError(f"order must be an even number from 4 to 20, got {order!r}")
+        system = self.system
         if not isinstance(system, System):
             raise ValueError(f"extrapolate integrates systems, got {type(system).__name__}")
         if any(law.held for law in laws_of(system)):
@@ -95,7 +94,7 @@ class Extrapolated(Step):
         return f"extrapolate[{self.order:g}{'' if self.increments else ', plain'}]"
 
     def advance(self, state: State, dt: ArrayLike) -> tuple[State, StepInfo]:
-        chart, numbers = _CHARTS[self.form], [2 * (j + 1) for j in range(int(self.order) // 2)]
+        chart, numbers = _CHARTS[self.form], [2 * (j + 1) for j in range(self.order // 2)]
         start, dt = chart.unknowns(self.system, state), jnp.asarray(dt, state.p.dtype)
         moments = chart.stage_times(self.system, state, dt * jnp.asarray(_fractions(numbers), dt.dtype))
         best, second = _extrapolation(chart.rate(self.system), moments, start, dt, numbers, self.increments)

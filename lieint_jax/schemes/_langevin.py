@@ -255,8 +255,9 @@ class Langevin(Step):
 
 def _checked_key(key: Any) -> Array:
     """A key of `jax.random`, from a key or from a seed; ValueError if it is neither."""
-    if isinstance(key, int | np.integer) and not isinstance(key, bool):
-        return jax.random.key(int(key))
+    seed = _checks.integer(key)
+    if seed is not None:
+        return jax.random.key(seed)
     typed = isinstance(key, Array) and jnp.issubdtype(key.dtype, jax.dtypes.prng_key)
     words: Any = jax.random.key_data(key) if typed else key
     if not isinstance(words, Array | np.ndarray) or words.shape != (2,) or words.dtype != jnp.uint32:

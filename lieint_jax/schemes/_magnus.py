@@ -20,6 +20,7 @@ import jax.numpy as jnp
 from jax import Array, lax
 from jax.typing import ArrayLike
 
+from lieint_jax._checks import listed, named
 from lieint_jax._numerics import collocation
 from lieint_jax.capabilities import AbstractKinematics
 from lieint_jax.groups import MatrixGroup, so3
@@ -69,13 +70,11 @@ class Magnus(Step):
     """
 
     system: AbstractKinematics = argument(converter=PROPERTIES.check)
-    order: float = static(default=4)
+    order: Converted[int] = static(converter=named(listed, "order", (2, 4, 6)), default=4)
     commutators: Converted[bool] = static(converter=bool, default=True, kw_only=True)
     symmetric: bool = static(default=True, init=False)
 
     def check_fields(self) -> None:
-        if self.order not in (2, 4, 6) or isinstance(self.order, bool):
-            raise ValueError(f"order must be 2, 4 or 6, got {self.order!r}")
         if not self.commutators and self.order != 4:
             raise ValueError(f"commutators=False is of order 4, got order {self.order}")
 

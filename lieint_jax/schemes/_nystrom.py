@@ -17,7 +17,7 @@ import jax.numpy as jnp
 from jax import Array
 from jax.typing import ArrayLike
 
-from lieint_jax._checks import optional
+from lieint_jax._checks import listed, named, optional
 from lieint_jax._numerics.stages import compose_stages
 from lieint_jax.capabilities import AbstractDrivenSystem, AbstractForcedSystem, AbstractFreeBodies, AbstractFreeBody
 from lieint_jax.schemes._catalogue import SchemeProperties, hint
@@ -97,14 +97,14 @@ class Nystrom(Step):
     """
 
     system: AbstractForcedSystem | AbstractDrivenSystem
-    order: float = static()
+    order: Converted[int] = static(
+        converter=named(listed, "order", METHODS, "; compose(splitting(system), order) has others")
+    )
     drift: Converted[Step] = argument(converter=optional, default=None)
     symmetric: bool = static(default=True, init=False)
 
     def check_fields(self) -> dict[str, Step]:
         system, order = self.system, self.order
-        if order not in METHODS:
-            raise ValueError(f"order must be 4 or 6, got {order!r}; compose(splitting(system), order) has others")
         free = system.free if isinstance(system, AbstractForcedSystem | AbstractDrivenSystem) else None
         if not isinstance(free, AbstractFreeBody | AbstractFreeBodies):
             raise ValueError(
@@ -125,7 +125,7 @@ class Nystrom(Step):
         return f"nystrom[{self.order:g}]"
 
     def advance(self, state: State, dt: ArrayLike) -> tuple[State, StepInfo]:
-        drifts, kicks = (jnp.asarray(x, state.p.dtype) * dt for x in METHODS[int(self.order)])
+        drifts, kicks = (jnp.asarray(x, state.p.dtype) * dt for x in METHODS[self.order])
         kick_last = len(kicks) > len(drifts)
 
         def kick_and_drift(state: State, a: Array, b: Array) -> tuple[State, StepInfo]:
@@ -140,7 +140,7 @@ class Nystrom(Step):
         return state, info._replace(converged=info.converged & jnp.isfinite(self.system.energy(state)))
 
     def advice(self, state: State, dt: ArrayLike) -> str:
-        longest = max(METHODS[int(self.order)].drifts, key=abs)
+        longest = max(METHODS[self.order].drifts, key=abs)
         return f"{self.name} has sub-steps up to {longest:.3g} dt; {self.drift.advice(state, longest * dt)}"
 
 

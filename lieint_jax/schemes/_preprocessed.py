@@ -113,8 +113,7 @@ def preprocessed(
 
     Source: McLachlan & Zanna 2005, Found. Comput. Math. 5; Hairer & Vilmart 2006, J. Phys. A 39.
     """
-    if isinstance(order, bool) or order not in ORDERS:
-        raise ValueError(f"order must be 4, 6, 8 or 10, got {order!r}; calibrated(system) is exact")
+    order = _checks.listed("order", order, ORDERS, "; calibrated(system) is exact")
     if iterations is not None:
         iterations = _checks.count("iterations", iterations, 1)
     PROPERTIES.check(system)

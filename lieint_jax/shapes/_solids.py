@@ -84,8 +84,7 @@ class Shape(_checks.MassDistribution):
         Raises:
             ValueError: `order` is not one of these, or the moments of this order are not known.
         """
-        if isinstance(order, bool) or not isinstance(order, int) or not 0 <= order <= ORDER:
-            raise ValueError(f"order must be an integer from 0 to {ORDER}, got {order!r}")
+        order = _checks.listed("order", order, range(ORDER + 1))
         known = self._about_center()
         if order >= len(known):
             raise ValueError(

@@ -27,8 +27,8 @@ def peers():
     return {x["name"]: x["rate"] for x in result("ensemble")["peers"]["rates"] if x["bodies"] == 1000}
 
 
-def over_cpp():
-    return {x["name"]: x["ours"] / x["C++"] for x in result("ensemble")["cpp"]}
+def over_cpp(kind="C++"):
+    return {x["name"]: x["ours"] / x[kind] for x in result("ensemble")["cpp"] if kind in x}
 
 
 def rate(name):
@@ -126,7 +126,7 @@ def measured_names():
         for kind in ("heavy top", "gravity gradient", "Didymos and Dimorphos")
         for error in ("1e-06", "1e-09")
     }
-    cpp = over_cpp()
+    cpp, blocks = over_cpp(), over_cpp("C++ in blocks")
     stage, few = result("attitude")["rows"], result("one_body")["gradients"]
     alone = [x["integrate"] / x["ensemble"] for x in result("one_body")["runs"]]
     return globals() | locals()

@@ -1,12 +1,12 @@
 """A step made again compiles nothing, and the command line keeps compiled programs, in a folder of this processor."""
 
-import collections
 import functools
 import gc
 import os
 import re
 import subprocess
 import sys
+import threading
 import weakref
 from pathlib import Path
 
@@ -18,7 +18,7 @@ from jax.experimental.compilation_cache import compilation_cache
 
 import lieint_jax as li
 from lieint_jax._cache import use_program_cache
-from lieint_jax._xla import _compile
+from lieint_jax._xla import Recent, _compile
 from lieint_jax.native import _machine, _traced
 from lieint_jax.runs._job import loop as _loop
 
@@ -280,7 +280,7 @@ def test_programs_of_functions_that_are_gone_are_freed(monkeypatch):
     """Each new function of a user kept some MiB for ever: XLA's program of a check, and what was walked."""
     monkeypatch.setattr(_compile, "_MOST_KEPT", 2)
     monkeypatch.setattr(_traced, "_MOST_KEPT", 2)
-    monkeypatch.setattr(_traced, "_cache", collections.OrderedDict())
+    monkeypatch.setattr(_traced, "_cache", Recent())
     check = _compile.compiled(lambda function, x: function(x), static_argnums=0, once=True)
     programs, functions = [], []
 
@@ -298,6 +298,54 @@ def test_programs_of_functions_that_are_gone_are_freed(monkeypatch):
     gc.collect()
     assert [x() is not None for x in functions] == [False] * 4 + [True] * 2
     assert [x() is not None for x in programs] == [False] * 4 + [True] * 2
+
+
+def in_threads(count, work):
+    """What `work(k)` raised in any of so many threads, between which Python switches as often as it can."""
+    errors, before, barrier = [], sys.getswitchinterval(), threading.Barrier(count)
+
+    def run(k):
+        barrier.wait()
+        try:
+            work(k)
+        except Exception as error:  # which a thread only prints
+            errors.append(repr(error))
+
+    threads = [threading.Thread(target=run, args=(k,)) for k in range(count)]
+    sys.setswitchinterval(1e-6)
+    try:
+        for act in (threading.Thread.start, threading.Thread.join):
+            for thread in threads:
+                act(thread)
+    finally:
+        sys.setswitchinterval(before)
+    return errors
+
+
+@pytest.mark.parametrize("most", [3, 100])
+def test_threads_share_what_was_made(most):
+    """Runs in several threads ended in RuntimeError or KeyError: each moved and dropped entries of one dictionary."""
+    recent, found = Recent(), [{} for _ in range(8)]
+
+    def work(k):
+        for n in range(1500):
+            key = "ab"[n % 2], n % 11
+            found[k].setdefault(key, recent.get(key, object, most))
+
+    assert not in_threads(8, work)
+    if most == 100:  # nothing was dropped, so that all have the same
+        assert all(own == found[0] for own in found)
+
+
+def test_threads_call_one_compiled_function():
+    """Its programs, one for each structure of its arguments, are stored for all threads."""
+    total = _compile.compiled(lambda x: sum(x))
+
+    def work(_):
+        for n in range(40):
+            assert total([np.float32(k) for k in range(n % 3 + 1)]) == (n % 3) * (n % 3 + 1) / 2
+
+    assert not in_threads(4, work)
 
 
 NEW = {  # of each, a system of a new function
@@ -347,7 +395,7 @@ def test_a_potential_s_parameter_may_be_varied():
 def test_runs_of_new_functions_keep_few_of_them(monkeypatch, engine):
     """Each new function of a user kept some 10 MiB of jaxprs for ever, in caches of JAX and of machine code."""
     monkeypatch.setattr(_compile, "_MOST_KEPT", 1)
-    monkeypatch.setattr(_traced, "_cache", collections.OrderedDict())
+    monkeypatch.setattr(_traced, "_cache", Recent())
     kept = []
     for k in range(36):
         law = lambda g, k=k: k * g[2]  # noqa: E731

@@ -181,3 +181,23 @@ def test_late_on_a_clock_the_time_is_right_to_its_rounding():
     found = jax.jit(jax.vmap(lambda T: li.event(SPINNING, start, 0.5, lambda z: z.t - T, max_steps=10)))(times)
     assert found.found.all()
     np.testing.assert_allclose(found.t, times, rtol=0, atol=4e-9)
+
+
+@pytest.mark.quick
+def test_the_size_of_a_condition_does_not_matter():
+    """A condition of 1e-300 underflows next to its root, which was found but not trusted: it is right to 1e-5 dt."""
+    step = schemes.exact(BODY)
+    sizes = jnp.array([1.0, -1e-150, 1e-200, 1e-300, -1e-300, 1e200, 1e307, 1e-306])
+
+    def first(size, shift):
+        found = li.event(step, SPIN, 0.3, lambda z: size * (attitude(z) + shift), max_steps=20)
+        return found.t, found.found
+
+    slope = jax.jit(jax.vmap(jax.value_and_grad(first, 1, has_aux=True), (0, None)))
+    (t, found), by_shift = slope(sizes, 0.0)
+    assert found[:-1].all()
+    assert not found[-1]  # whose root is hidden
+    off = abs(t[:-1] - np.pi / 0.7)  # q = cos 0.35 t
+    assert off.max() < 3e-6
+    assert off[jnp.array([0, 1, 2, 5, 6])].max() < 1e-14
+    np.testing.assert_allclose(by_shift[:-1], 1 / 0.35, rtol=1e-5)

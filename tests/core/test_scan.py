@@ -436,3 +436,53 @@ def test_outside_of_jit_a_function_is_traced_once():
             return 2 * x, None
 
     assert li.scan(Doubled(), 1.0, length=3)[0] == 8
+
+
+TYPES = {  # what a step does with each array of the carry
+    "twice": lambda c: 2 * c,
+    "a float32 more": lambda c: c + np.float32(1),
+    "one more": lambda c: c + 1.0,
+    "times a float64": lambda c: c * np.float64(2),
+    "half": lambda c: c / 2,
+    "an int32 more": lambda c: c + np.int32(1),
+    "a vector more": lambda c: c + jnp.ones(2),
+}
+
+
+@pytest.mark.parametrize("change", TYPES.values(), ids=TYPES)
+def test_carries_have_the_types_that_lax_scan_gives_them(change):
+    """A Python number takes the type that the step returns; a strongly typed carry that changes its type is refused."""
+    starts = [
+        0.5,
+        1,
+        True,
+        np.float32(1),
+        jnp.float64(1),
+        jnp.int32(1),
+        jnp.asarray(2.0),
+        (0.0, jnp.float32(1)),
+        (0, 0.0),
+    ]
+
+    def step(carry, _):
+        return jax.tree.map(change, carry), jax.tree.map(lambda c: c * jnp.float32(3), carry)
+
+    def types_of(scan, start):
+        try:
+            found = jax.eval_shape(lambda: scan(step, start, length=3))
+        except (TypeError, ValueError):
+            return "refused"
+        return [(x.dtype, x.weak_type, x.shape) for x in jax.tree.leaves(found)]
+
+    for start in starts:
+        assert types_of(li.scan, start) == types_of(lax.scan, start), start
+
+
+def test_weakly_typed_carries_have_the_values_of_lax_scan():
+    def step(c, _):
+        return (c[1] / np.float32(2), c[0] + np.float32(0.5)), c[0]
+
+    for scan in (li.scan, lax.scan):
+        (a, b), path = scan(step, (1, 0.25), length=4)
+        assert (a.dtype, b.dtype, path.dtype) == (np.float32,) * 3
+        np.testing.assert_array_equal([a, b, *path], [0.625, 0.8125, 1.0, 0.125, 0.75, 0.3125])

@@ -10,11 +10,12 @@ SCRIPT = """
 import re, sys
 import jax, jax.numpy as jnp, numpy as np
 import lieint_jax as li
-from jax.sharding import Mesh, NamedSharding, PartitionSpec as P
+from jax.sharding import AxisType, Mesh, NamedSharding, PartitionSpec as P
 
 jax.config.update("jax_enable_x64", True)
 devices = np.array(jax.devices())
 line, square = Mesh(devices, ("m",)), Mesh(devices.reshape(2, 2), ("a", "b"))
+explicit = Mesh(devices, ("m",), (AxisType.Explicit,))  # the default of jax.make_mesh since JAX 0.12
 W = np.random.default_rng(0).normal(size=(16, 3))
 J = jnp.array([1.0, 2.0, 2.5])
 
@@ -36,8 +37,10 @@ by_undoing = {"adjoint": li.adjoints.ReversibleAdjoint()}
 cases = {  # function, mesh, axes of the members, collective operations that it needs
     "values": (many(end), line, "m", set()),
     "gradients": (slopes(end), line, "m", set()),
+    "gradients, explicit": (many(jax.grad(lambda w: end(w)[0])), explicit, "m", set()),
 } if sys.argv[1] == "quick" else {
     "rows and ends": (many(map_logistic), line, "m", set()),
+    "rows and ends, explicit": (many(map_logistic), explicit, "m", set()),
     "gradient of what they share": (
         lambda w: jax.grad(lambda J: many(lambda w: end(w, J))(w).sum())(J), line, "m", {"all-reduce"}),
     "two axes of a mesh": (many(end), square, ("a", "b"), set()),
@@ -63,6 +66,8 @@ for name, (f, mesh, axes, wanted) in cases.items():
             np.testing.assert_array_equal(y, expected, err_msg=name)
             assert y.sharding.spec[0] == axes or y.sharding.spec[1] == axes, (name, y.sharding)
             assert y.addressable_shards[0].data.size < y.size, name
+    if "explicit" in name:  # the types say it too, so that what follows in a program is spread alike
+        assert all("m" in y.sharding.spec for y in jax.tree.leaves(jax.eval_shape(f, x))), name
 """
 
 

@@ -171,8 +171,9 @@ class Run(Generic[Saved, Reduced]):
         """The run of member k, as one of one body."""
         if self.members is None:
             raise ValueError("the run is of one body and has no members")
-        if not isinstance(k, int | np.integer) or not -self.members <= k < self.members:
-            raise ValueError(f"the run has {self.members} members, numbered from 0, got {k}")
+        given, k = k, _checks.integer(k)
+        if k is None or not -self.members <= k < self.members:
+            raise ValueError(f"the run has {self.members} members, numbered from 0, got {given!r}")
         found = member_of(self._saved, k)
         step = jax.tree.map(lambda x: x[k], self.step) if self.own_step else self.step
         facts = self.facts._replace(batch=False, own_step=False, source="")

@@ -6,6 +6,8 @@ import os
 from collections.abc import Mapping
 from typing import NamedTuple
 
+from lieint_jax._checks import integer
+
 
 class _Scheduler(NamedTuple):
     """The variables of a scheduler: the task's index; the number of tasks, or the last index; the first; the stride."""
@@ -74,11 +76,10 @@ def part_of_task(count: int | None = None, environment: Mapping[str, str] = os.e
 def checked_part(part: tuple[int, int]) -> tuple[int, int]:
     """`part`, checked to be (k, n) with 0 ≤ k < n."""
     try:
-        k, count = (int(x) for x in part)
-        right = (k, count) == tuple(part) and 0 <= k < count
+        k, count = map(integer, part)
     except (TypeError, ValueError):
-        right, k, count = False, 0, 1
-    if not right:
+        k = count = None
+    if k is None or count is None or not 0 <= k < count:
         raise ValueError(f"part must be (k, n), part k = 0 … n − 1 of n, got {part!r}")
     return k, count
 

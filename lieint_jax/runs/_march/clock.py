@@ -77,7 +77,7 @@ class UniformClock(NamedTuple):
         n = lax.stop_gradient((t - self.t0) / self.dt)
         near = jnp.round(n)
         at_node = jnp.abs(t - self.time(near)) <= 4 * jnp.finfo(t.dtype).eps * jnp.abs(t)
-        return jnp.clip(jnp.where(at_node, near, jnp.floor(n)), 0, num_steps).astype(int)
+        return jnp.clip(jnp.where(at_node, near, jnp.floor(n)), 0, jnp.asarray(num_steps, n.dtype)).astype(int)
 
 
 class GridClock(NamedTuple):

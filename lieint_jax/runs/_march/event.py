@@ -26,6 +26,7 @@ from lieint_jax.types import clock as time_of
 from lieint_jax.types.record import record
 
 _RIGHT_TO = {4: 3e-4, 8: 1e-9}  # an event's time, in Δt, by the bytes of a number
+_RIGHT_TO_UNDERFLOW = 1e-5  # where the condition is so small that it underflows nearer to its root
 _Condition = Callable[[State], Array]
 _FEW = 8  # events whose search is machine code, of which each number of the buffer is an operation
 
@@ -37,10 +38,11 @@ class Event(NamedTuple):
     Attributes:
         t: the time, on the clock of `state.t`; since the start if the state has no time.
         state: the state at t, by a shorter step from the last node before.
-        found: True if there is such an event, if t is right to 1e-9 dt (3e-4 dt in float32) or to the rounding of t,
-            and if all steps up to it converged. If the sign does not change, found is False, and t and state are those
-            at the end of the search. If the sign changes at a pole or a jump of the condition, or if rounding errors of
-            the condition hide the time of its root, found is False, and t and state are those of the change.
+        found: True if there is such an event, if t is right to 1e-9 dt (3e-4 dt in float32; 1e-5 dt where nearer to its
+            root the condition underflows) or to the rounding of t, and if all steps up to it converged. If the sign
+            does not change, found is False, and t and state are those at the end of the search. If the sign changes at
+            a pole or a jump of the condition, or if rounding errors of the condition hide the time of its root, found
+            is False, and t and state are those of the change.
     """
 
     t: Array
@@ -93,7 +95,8 @@ def events(
 ) -> Event:
     """The first `count` events as in `event`, every leaf with a leading axis (count,)."""
     max_steps, count = _checks.count("max_steps", max_steps, 1), _checks.count("count", count, 1)
-    if direction not in (-1, 0, 1):
+    sign = _checks.integer(direction)
+    if sign not in (-1, 0, 1):
         raise ValueError(f"direction must be −1 (falling), 1 (rising) or 0 (both), got {direction!r}")
     if not callable(condition):
         raise ValueError(f"condition must be a function of the state with a scalar value, got {condition!r}")
@@ -110,10 +113,10 @@ def events(
         clock, max_steps = halved(clock), parts * max_steps
     given = step, state, clock, callable_pytree(condition)
     if count <= _FEW and max_steps <= MOST_COUNTED and stands_alone(given):
-        found = _of_any_length(*given, np.int32(max_steps), (count, direction))
+        found = _of_any_length(*given, np.int32(max_steps), (count, sign))
         if concrete(found):  # else the condition closes over a tracer
             return found
-    return _of_known_length(*given, max_steps, (count, direction))
+    return _of_known_length(*given, max_steps, (count, sign))
 
 
 class _Bracket(NamedTuple):
@@ -196,7 +199,7 @@ def _brackets(
         side = jnp.sign(new)
         changes = (sign * side < 0) & ((direction == 0) | (side == direction))
         slot = jnp.where(changes, number, count)
-        nearby = _nearby(before[0].t, after.t, value)
+        nearby = jnp.maximum(_nearby(before[0].t, after.t, value), _above_underflow(new - value))
         here = _Bracket(before[0], n, jnp.stack([value, new]), nearby, info.converged)
         buffer = jax.tree.map(lambda to, x: to.at[slot].set(x, mode="drop"), buffer, here)
         sign = jnp.where(side * side > 0, side, sign)  # a zero or NaN changes nothing
@@ -209,7 +212,7 @@ def _brackets(
         assert isinstance(max_steps, int)
         (end, _), search = scanned(step_and_look, 0, max_steps, search)
     there = jnp.arange(count) < search.number
-    last = none._replace(state=end, n=none.n + max_steps)
+    last = none._replace(state=end, n=jnp.asarray(max_steps, none.n.dtype))
     return jax.tree.map(lambda x, y: jnp.where(there.reshape(-1, *[1] * y.ndim), x, y), search.buffer, last)
 
 
@@ -220,6 +223,12 @@ def _nearby(t0: Array | None, t1: Array | None, like: Array) -> Array:
         return least
     rounding = 8 * jnp.finfo(like.dtype).eps * jnp.abs(t1)
     return jnp.maximum(least, rounding / jnp.abs(t1 - t0))
+
+
+def _above_underflow(change: Array) -> Array:
+    """The fraction of a step from a root at which a condition that changes so much in it does not underflow."""
+    change = lax.stop_gradient(change)
+    return jnp.minimum(8 * jnp.finfo(change.dtype).tiny / jnp.abs(change), _RIGHT_TO_UNDERFLOW)
 
 
 def _root(step: Step, bracket: _Bracket, dt: Array, condition: _Condition) -> tuple[Array, Array]:

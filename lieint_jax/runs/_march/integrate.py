@@ -15,7 +15,7 @@ from jax import Array, lax
 from jax.typing import ArrayLike
 
 from lieint_jax import _checks, native
-from lieint_jax._xla import compiled
+from lieint_jax._xla import compiled, with_common_mesh
 from lieint_jax.runs._march.clock import (
     MOST_COUNTED,
     Clock,
@@ -234,7 +234,8 @@ def join_start(state: State, later: Reached, t: Array | None) -> Trajectory:
     if state.t is not None and states.t is None and t is not None:
         states = states._replace(t=t[1:])
     start = at_start(state)
-    states, info = jax.tree.map(lambda first, rest: jnp.concatenate([first[None], rest]), start, (states, info))
+    start, later = with_common_mesh((start, (states, info)))
+    states, info = jax.tree.map(lambda first, rest: jnp.concatenate([first[None], rest]), start, later)
     times = t if states.t is None else states.t
     assert times is not None  # a state or a clock has the time
     return Trajectory(times, states, info)
