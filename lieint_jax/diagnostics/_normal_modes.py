@@ -18,7 +18,8 @@ from jax import Array
 from numpy.typing import ArrayLike
 
 from lieint_jax._checks import concrete
-from lieint_jax.diagnostics._equilibrium import Derivatives, Equilibrium, derivatives, frame_of
+from lieint_jax.diagnostics._critical_point import Derivatives, Problem
+from lieint_jax.diagnostics._equilibrium import Equilibrium, frame_of
 from lieint_jax.types import State, System, promoted
 
 _RANK = 1e-7  # of the dimension of a space: singular values below this part of the largest one count as 0
@@ -95,15 +96,15 @@ def normal_modes(system: System, state: State | Equilibrium, *, frame: ArrayLike
     if not concrete(system, at, frame):
         raise ValueError("normal_modes computes with concrete numbers: call it outside of jit, vmap and grad")
     system.check(at)
-    found = derivatives(system, at, frame_of(system, at, frame), spins)
-    rates = found.rates()
-    residual, eps = found.residual(rates), float(np.finfo(at.p.dtype).eps)
-    if not residual <= max(1e-6, 1e3 * eps):
+    problem = Problem(system, frame_of(system, at, frame), spins, np.arange(system.phase_space.dim))
+    step, eps = problem.correction(at), float(np.finfo(at.p.dtype).eps)
+    if not (step.is_rounding or step.size <= max(1e-6, 1e3 * eps)):
         raise ValueError(
-            f"this state is not a relative equilibrium: |dK| is {residual:.2g} of the second derivatives of K. "
-            "li.equilibrium(system, state) finds one near it"
+            f"this state is not a relative equilibrium: by Newton's method the next one is {step.size:.2g} away, in "
+            "radians or units of the state. li.equilibrium(system, state) finds it"
         )
-    return _modes(found, rates, 8 * eps**0.5)
+    found = problem.derivatives(at)
+    return _modes(found, found.rates(), 8 * eps**0.5)
 
 
 def _modes(found: Derivatives, rates: np.ndarray, small: float) -> NormalModes:
