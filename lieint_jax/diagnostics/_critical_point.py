@@ -11,7 +11,7 @@ A direction is neutral if its stiffness is a rounding error, as along the symmet
 from __future__ import annotations
 
 from functools import partial
-from typing import NamedTuple
+from typing import NamedTuple, TypeVar
 
 import jax
 import jax.numpy as jnp
@@ -24,13 +24,14 @@ from lieint_jax.phase_spaces import CotangentGroup
 from lieint_jax.types import State, System
 from lieint_jax.types.tangent import units_at_start
 
+_Tree = TypeVar("_Tree")
 _ITERATIONS, _HALVINGS, _STAGES = 60, 12, 100
 _LONGEST = 0.5  # of a step, in units of the state
 _WINDOW = 3  # steps: of a stiff system each second one only removes the stress that the one before has caused
 _WEIGHT = 0.1  # a change of the rates in the length of a step; Newton's method fails sooner with more than 0.3
 _RANK = 1e-9  # singular values of dΦ below this part of the largest one count as 0
 _BALANCINGS = 8  # sweeps that give the rows and columns of a matrix the size 1
-_SAMPLES = 3  # states at which rounding errors are measured
+_SAMPLES = 2  # states at which rounding errors are measured
 _SAFETY = 32  # rounding errors: more than that is none
 
 
@@ -163,6 +164,23 @@ class Correction(NamedTuple):
         return max(self.size, float(self.rounding.max()))
 
 
+def in_double(*given: _Tree) -> tuple[_Tree, ...]:
+    """Pytrees with float64 in place of float32: its rounding errors would hide directions 10⁶ times as soft."""
+    return jax.tree.map(lambda x: jnp.asarray(x, float) if getattr(x, "dtype", None) == np.float32 else x, given)
+
+
+def rounded(found: _Tree, dtype: np.dtype) -> _Tree:
+    """A pytree with its real numbers in a given type, outside of `jax.enable_x64`."""
+
+    def leaf(x: object) -> object:
+        if not isinstance(x, Array):
+            return x
+        values = np.asarray(x)
+        return jnp.asarray(values.astype(dtype) if values.dtype.kind == "f" else values)
+
+    return jax.tree.map(leaf, found)
+
+
 class Problem(NamedTuple):
     """dK = 0 for a system, with the coordinates that may change.
 
@@ -222,7 +240,7 @@ class Problem(NamedTuple):
 
         On the path the guess is held by a force −dK that decreases to 0: a rod is loaded little by little.
         """
-        for search in (self._decrease, self._newton):
+        for search in (self._decrease, self.newton):
             end = search(guess)
             last = self.correction(end)
             if last.is_rounding:
@@ -233,7 +251,7 @@ class Problem(NamedTuple):
         for _ in range(_STAGES):
             more = min(more, 1 - part)
             held = Pull(guess, jnp.asarray((1 - part - more) * force)) if part + more < 1 else None
-            tried = self._newton(state, held)
+            tried = self.newton(state, held)
             there = self.correction(tried, held)
             if there.is_rounding and held is None:
                 return tried, there
@@ -271,7 +289,7 @@ class Problem(NamedTuple):
     def _moved(self, state: State, delta: np.ndarray, unit: np.ndarray) -> State:
         return _perturb(self.system, state, jnp.asarray(delta * unit, state.p.dtype))
 
-    def _newton(self, state: State, pull: Pull | None = None) -> State:
+    def newton(self, state: State, pull: Pull | None = None) -> State:
         """The last state of Newton's steps, whose size may increase, but not above those of the last few."""
         here = self.correction(state, pull)
         sizes = [here.size]
@@ -298,7 +316,8 @@ def _pseudo_inverse(M: np.ndarray, error: np.ndarray, eps: float) -> np.ndarray:
     rows, columns = _balance(np.abs(M))
     balanced = rows[:, None] * M * columns
     U, s, Vt = np.linalg.svd(balanced, full_matrices=False)
-    unsure = np.sqrt(np.einsum("ik,ij,kj->k", U**2, (rows[:, None] * error * columns) ** 2, Vt**2, optimize=True))
+    squares = (rows[:, None] * error * columns) ** 2
+    unsure = np.sqrt(np.sum((U.T**2 @ squares) * Vt**2, axis=1))
     firm = s > np.maximum(_SAFETY * unsure, max(M.shape) * eps * s.max(initial=0))
     Q = np.linalg.qr(Vt[firm].T / columns[:, None])[0]  # an orthonormal basis of the steps that are the shortest
     return Q @ (Q.T @ (columns[:, None] * ((Vt[firm].T / s[firm]) @ (U[:, firm].T * rows))))

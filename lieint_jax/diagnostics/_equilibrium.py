@@ -26,7 +26,7 @@ from lieint_jax import _checks
 from lieint_jax._checks import concrete
 from lieint_jax._xla import compiled
 from lieint_jax.capabilities import AbstractDrivenTop, AbstractRigidBodies
-from lieint_jax.diagnostics._critical_point import Correction, Problem, Spins, is_attitude
+from lieint_jax.diagnostics._critical_point import Correction, Problem, Spins, in_double, is_attitude, rounded
 from lieint_jax.groups import so3
 from lieint_jax.types import State, System, promoted
 from lieint_jax.types.tangent import units, units_at_start
@@ -108,23 +108,36 @@ def equilibrium(
 
     Source: Marsden, Lectures on Mechanics (1992), 4.1 (the augmented Hamiltonian).
     """
-    system, state, _ = promoted(system, guess)
+    system, state, dtype = promoted(system, guess)
     if not concrete(system, state, frame):
         raise ValueError("equilibrium computes with concrete numbers: call it outside of jit, vmap and grad")
-    system.check(state)
-    omega = frame_of(system, state, frame)
-    dim = system.phase_space.dim
+    with jax.enable_x64(True):
+        found = _equilibrium(*in_double(system, state), free, frame, spinning, float(np.finfo(dtype).eps))
+    found = rounded(found, dtype)
+    return found._replace(residual=jnp.maximum(found.residual, jnp.finfo(dtype).eps))
+
+
+def _equilibrium(
+    system: System,
+    start: State,
+    free: Sequence[int] | None,
+    frame: ArrayLike | None,
+    spinning: Sequence[int],
+    eps: float,
+) -> Equilibrium:
+    system.check(start)
+    omega, dim = frame_of(system, start, frame, eps), system.phase_space.dim
     chosen = np.arange(dim) if free is None else np.asarray(free, int)
     if chosen.ndim != 1 or not chosen.size or chosen.min() < 0 or chosen.max() >= dim:
         raise ValueError(f"free must be coordinates of the phase space, from 0 to {dim - 1}, got {free!r}")
-    spins = _symmetric_spins(system, state, spinning) if np.ndim(spinning) == 0 or len(spinning) else None
-    problem, start, dtype = Problem(system, omega, spins, chosen), state, state.p.dtype
+    spins = _symmetric_spins(system, start, spinning, 1e3 * eps) if np.ndim(spinning) == 0 or len(spinning) else None
+    problem = Problem(system, omega, spins, chosen)
     state, last = problem.solved(start)
     if not last.is_rounding:
         raise ValueError(_not_found(system, last))
     change, rates = system.phase_space.displacement(start, state), problem.derivatives(state).rates()
-    residual, moved = (jnp.asarray(x, dtype) for x in (last.distance, np.max(np.abs(change) / last.unit)))
-    return Equilibrium(state, jnp.asarray(rates, dtype), omega, residual, moved, change, spins)
+    residual, moved = jnp.asarray(last.distance), jnp.max(jnp.abs(change) / last.unit)
+    return Equilibrium(state, jnp.asarray(rates), omega, residual, moved, change, spins)
 
 
 def _not_found(system: System, last: Correction) -> str:
@@ -136,14 +149,14 @@ def _not_found(system: System, last: Correction) -> str:
     )
 
 
-def _symmetric_spins(system: System, state: State, bodies: Sequence[int]) -> Spins:
+def _symmetric_spins(system: System, state: State, bodies: Sequence[int], tolerance: float) -> Spins:
     """The axes about which these bodies are symmetric; ValueError if one is not."""
     if not isinstance(system, AbstractRigidBodies):
         raise ValueError(f"spinning is for bodies of systems.rigid_bodies, got {type(system).__name__}")
     numbers, n = np.asarray(bodies), len(system.masses)
     if numbers.ndim != 1 or numbers.dtype.kind not in "iu" or numbers.min() < 0 or numbers.max() >= n:
         raise ValueError(f"spinning must be numbers of bodies, from 0 to {n - 1}, got {bodies!r}")
-    Omega, tolerance = np.asarray(system.angular_velocities(state)), 1e3 * float(np.finfo(state.p.dtype).eps)
+    Omega = np.asarray(system.angular_velocities(state))
     spins = Spins(jnp.asarray(numbers), jnp.stack([_axis(system.inertias[i], Omega[i], tolerance, i) for i in numbers]))
     turning = np.asarray(_torques_about(system, state, spins))
     for i, relative in zip(numbers, turning, strict=True):
@@ -188,8 +201,11 @@ def _torques_about(system: AbstractRigidBodies, state: State, spins: Spins) -> A
     return jnp.max(jax.vmap(torque)(offsets), axis=0)
 
 
-def frame_of(system: System, state: State, given: ArrayLike | None) -> Array:
-    """ω; ValueError unless the motion in axes that rotate with ω has a time-independent Hamiltonian."""
+def frame_of(system: System, state: State, given: ArrayLike | None, eps: float) -> Array:
+    """ω; ValueError unless the motion in axes that rotate with ω has a time-independent Hamiltonian.
+
+    `eps` is that of the numbers in which the system was given.
+    """
     dtype = state.p.dtype
     if given is not None:
         omega = _checks.real_array("frame", given, (3,)).astype(dtype)
@@ -200,7 +216,7 @@ def frame_of(system: System, state: State, given: ArrayLike | None) -> Array:
     else:
         omega = jnp.zeros(3, dtype)
     varying, mismatch = (float(x) for x in _defects(system, state, omega, units_at_start(system, state)))
-    tolerance = float(np.finfo(dtype).eps) ** 0.5
+    tolerance = eps**0.5
     if not varying <= tolerance:
         raise ValueError(
             f"in axes that rotate with {np.asarray(omega)} the energy depends on time, by {varying:.2g} of its "

@@ -19,7 +19,7 @@ LOOPS = {
     "_numerics/elliptic.py:_descending": "the same for m1 ≥ ½",
     "_numerics/elliptic.py:quarter_period": "means converge quadratically for every ratio of floating-point numbers",
     "diagnostics/_critical_point.py:_decrease": "a first search, whose end is judged by Newton's step",
-    "diagnostics/_critical_point.py:_newton": "its caller judges the end by Newton's step",
+    "diagnostics/_critical_point.py:newton": "its caller judges the end by Newton's step",
     "diagnostics/_order.py:_flow": "NaN if the last change is not small",
     "diagnostics/_order.py:step_once": "a part of _flow",
     "runs/_storage/untrusted.py:parse_json": "no iteration: levels of brackets, refused if there are more",
