@@ -33,6 +33,7 @@ _RANK = 1e-9  # singular values of dΦ below this part of the largest one count 
 _BALANCINGS = 8  # sweeps that give the rows and columns of a matrix the size 1
 _SAMPLES = 2  # states at which rounding errors are measured
 _SAFETY = 32  # rounding errors: more than that is none
+_COARSEST = 1e-3  # the largest rounding error of a step, in units of the state, with which it tells anything
 
 
 class Spins(NamedTuple):
@@ -155,8 +156,9 @@ class Correction(NamedTuple):
 
     @property
     def is_rounding(self) -> bool:
-        """Whether the state is a critical point, as far as rounding errors let one tell."""
-        return self.size <= _SAFETY * float(self.rounding.max()) and self.force <= _SAFETY
+        """Whether the state is a critical point, as far as rounding errors, if they are small, let one tell."""
+        unknown = float(self.rounding.max())
+        return self.size <= _SAFETY * unknown and self.force <= _SAFETY and unknown <= _COARSEST
 
     @property
     def distance(self) -> float:
@@ -164,8 +166,8 @@ class Correction(NamedTuple):
         return max(self.size, float(self.rounding.max()))
 
 
-def in_double(*given: _Tree) -> tuple[_Tree, ...]:
-    """Pytrees with float64 in place of float32: its rounding errors would hide directions 10⁶ times as soft."""
+def in_double(given: _Tree) -> _Tree:
+    """A pytree with float64 in place of float32: its rounding errors would hide directions 10⁶ times as soft."""
     return jax.tree.map(lambda x: jnp.asarray(x, float) if getattr(x, "dtype", None) == np.float32 else x, given)
 
 
@@ -298,7 +300,7 @@ class Problem(NamedTuple):
             for _ in range(_HALVINGS):
                 moved = self._moved(state, part * here.step, here.unit)
                 there = self.correction(moved, pull)
-                if there.size <= max(sizes[-_WINDOW:]):
+                if there.is_rounding or there.size <= max(sizes[-_WINDOW:]):
                     break
                 part /= 2
             else:

@@ -112,7 +112,7 @@ def equilibrium(
     if not concrete(system, state, frame):
         raise ValueError("equilibrium computes with concrete numbers: call it outside of jit, vmap and grad")
     with jax.enable_x64(True):
-        found = _equilibrium(*in_double(system, state), free, frame, spinning, float(np.finfo(dtype).eps))
+        found = _equilibrium(in_double(system), in_double(state), free, frame, spinning, float(np.finfo(dtype).eps))
     found = rounded(found, dtype)
     return found._replace(residual=jnp.maximum(found.residual, jnp.finfo(dtype).eps))
 
@@ -143,8 +143,9 @@ def _equilibrium(
 def _not_found(system: System, last: Correction) -> str:
     several = isinstance(system, AbstractRigidBodies)
     return (
-        f"no relative equilibrium was found near this state: Newton's step decreased to {last.size:.2g} in units of "
-        "the state, with a force left, and no further. Give a closer guess, or free more coordinates"
+        f"no relative equilibrium was found near this state: Newton's step from the last one is {last.size:.2g} in "
+        f"units of the state, its rounding error {float(last.rounding.max()):.2g}, and the force that no step removes "
+        f"{last.force:.2g} rounding errors. Give a closer guess, or free more coordinates"
         + (". All bodies rotate at one rate there, but those that you list as spinning" if several else "")
     )
 

@@ -97,7 +97,7 @@ def normal_modes(system: System, state: State | Equilibrium, *, frame: ArrayLike
     if not concrete(system, at, frame):
         raise ValueError("normal_modes computes with concrete numbers: call it outside of jit, vmap and grad")
     with jax.enable_x64(True):
-        modes = _about(*in_double(system, at, spins), frame, float(np.finfo(dtype).eps))
+        modes = _about(in_double(system), in_double(at), in_double(spins), frame, float(np.finfo(dtype).eps))
     return rounded(modes, dtype)
 
 
