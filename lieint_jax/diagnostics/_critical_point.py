@@ -33,7 +33,6 @@ _RANK = 1e-9  # singular values of dΦ below this part of the largest one count 
 _BALANCINGS = 8  # sweeps that give the rows and columns of a matrix the size 1
 _SAMPLES = 2  # states at which rounding errors are measured
 _SAFETY = 32  # rounding errors: more than that is none
-_COARSEST = 1e-3  # the largest rounding error of a step, in units of the state, with which it tells anything
 
 
 class Spins(NamedTuple):
@@ -156,9 +155,8 @@ class Correction(NamedTuple):
 
     @property
     def is_rounding(self) -> bool:
-        """Whether the state is a critical point, as far as rounding errors, if they are small, let one tell."""
-        unknown = float(self.rounding.max())
-        return self.size <= _SAFETY * unknown and self.force <= _SAFETY and unknown <= _COARSEST
+        """Whether the state is a critical point, as far as rounding errors let one tell."""
+        return self.size <= _SAFETY * float(self.rounding.max()) and self.force <= _SAFETY
 
     @property
     def distance(self) -> float:
