@@ -26,30 +26,10 @@ from lieint_jax import _checks
 from lieint_jax._checks import concrete
 from lieint_jax._xla import compiled
 from lieint_jax.capabilities import AbstractDrivenTop, AbstractRigidBodies
+from lieint_jax.diagnostics._critical_point import Correction, Problem, Spins, in_double, is_attitude, rounded
 from lieint_jax.groups import so3
-from lieint_jax.phase_spaces import CotangentGroup
 from lieint_jax.types import State, System, promoted
 from lieint_jax.types.tangent import units, units_at_start
-
-_ITERATIONS, _HALVINGS = 60, 12
-_WEIGHT = 0.1  # a change of the rates in the length of a correction; Newton's method fails sooner with more than 0.3
-_RANK = 1e-9  # singular values below this part of the largest one count as 0: those of symmetries are round-off
-
-
-class Spins(NamedTuple):
-    """Symmetric bodies that spin at rates of their own.
-
-    Attributes:
-        bodies: their numbers, (k,).
-        axes: their axes of symmetry in the bodies, (k, 3).
-    """
-
-    bodies: Array
-    axes: Array
-
-    def momentum(self, state: State) -> Array:
-        """Π·a of each, (k,)."""
-        return jnp.sum(jax.vmap(so3.Ad_star)(state.q[self.bodies, 3:], state.p[self.bodies, 3:]) * self.axes, axis=1)
 
 
 class Equilibrium(NamedTuple):
@@ -62,7 +42,8 @@ class Equilibrium(NamedTuple):
             and angular velocity, then the rate of each spinning body about its own axis, less the common one. (0,) for
             a system without known symmetries.
         frame: ω, (3,), the angular velocity of the axes in space in which the field is constant; 0 if it is at rest.
-        residual: |dK|, relative to the second derivatives of K, in the units of the state.
+        residual: how far the equilibrium may be from the state, as Newton's step and its rounding errors tell, in the
+            units of `moved`. It is large if stiffnesses differ so much that rounding hides a soft direction.
         moved: the largest change of a coordinate from the guess, in radians, or in units of the largest momentum, at
             rest of one that swings by a radian; for systems with a unit of length, in that unit.
         change: the change of every coordinate of the phase space, (2d,): of N bodies, `change.reshape(2, N, 6)` has the
@@ -77,81 +58,6 @@ class Equilibrium(NamedTuple):
     moved: Array
     change: Array
     spins: Spins | None = None
-
-
-class Derivatives(NamedTuple):
-    """Gradients and Hessians of the terms of K at a state, in the coordinates of the phase space.
-
-    Attributes:
-        energy, energy2: those of H − ω·π, (2d,) and (2d, 2d).
-        momentum, momentum2: those of Φ, (k, 2d) and (k, 2d, 2d).
-        omega: the symplectic form, (2d, 2d).
-        unit: the units of the coordinates, (2d,).
-    """
-
-    energy: np.ndarray
-    energy2: np.ndarray
-    momentum: np.ndarray
-    momentum2: np.ndarray
-    omega: np.ndarray
-    unit: np.ndarray
-
-    def rates(self) -> np.ndarray:
-        """The ξ, (k,), with which |dK| is least."""
-        directions, sizes = self.directions()
-        return np.linalg.lstsq(directions.T, self.unit * self.energy, rcond=_RANK)[0] / sizes if sizes.size else sizes
-
-    def directions(self) -> tuple[np.ndarray, np.ndarray]:
-        """dΦ in units of the state, (k, 2d), each over its length, and the lengths: no unit mixes P with L."""
-        along = self.momentum * self.unit
-        sizes = np.linalg.norm(along, axis=1)
-        sizes[sizes == 0] = 1
-        return along / sizes[:, None], sizes
-
-    def gradient(self, rates: np.ndarray) -> np.ndarray:
-        """dK in units of the state, (2d,)."""
-        return self.unit * (self.energy - rates @ self.momentum)
-
-    def hessian(self, rates: np.ndarray) -> np.ndarray:
-        """d²K in units of the state, (2d, 2d)."""
-        S = self.energy2 - np.tensordot(rates, self.momentum2, 1)
-        return self.unit[:, None] * S * self.unit
-
-    def residual(self, rates: np.ndarray) -> float:
-        """|dK| relative to the largest second derivative of H or of ξ·Φ."""
-        parts = (self.energy2, *(x * M for x, M in zip(rates, self.momentum2, strict=True)))
-        size = max(float(np.abs(self.unit[:, None] * x * self.unit).max()) for x in parts)
-        return float(np.abs(self.gradient(rates)).max()) / (size or 1.0)
-
-
-def derivatives(system: System, state: State, frame: Array, spins: Spins | None) -> Derivatives:
-    """The derivatives at a concrete state, as host arrays."""
-    found = *_derivatives(system, state, frame, spins), units_at_start(system, state)
-    return Derivatives(*(np.asarray(x, float) for x in found))
-
-
-@partial(compiled, once=True)
-def _derivatives(system: System, state: State, frame: Array, spins: Spins | None) -> tuple[Array, ...]:
-    space = system.phase_space
-
-    def energy(delta: Array) -> Array:
-        moved = space.perturb(state, delta)
-        H = system.energy(moved)
-        return H - frame @ moved.p if _is_attitude(system) else H
-
-    def momentum(delta: Array) -> Array:
-        moved = space.perturb(state, delta)
-        known = system.momentum(moved)
-        return known if spins is None else jnp.concatenate([known, spins.momentum(moved)])
-
-    zero = jnp.zeros(space.dim, state.p.dtype)
-    k = jax.eval_shape(momentum, zero).size
-    first, second = jax.grad(energy), jax.jacfwd(jax.grad(energy))
-    if not k:
-        along, along2 = jnp.zeros((0, space.dim)), jnp.zeros((0, space.dim, space.dim))
-    else:
-        along, along2 = jax.jacfwd(momentum)(zero), jax.jacfwd(jax.jacfwd(momentum))(zero)
-    return first(zero), second(zero), along, along2, space.omega(state)
 
 
 def equilibrium(
@@ -202,32 +108,56 @@ def equilibrium(
 
     Source: Marsden, Lectures on Mechanics (1992), 4.1 (the augmented Hamiltonian).
     """
-    system, state, _ = promoted(system, guess)
+    system, state, dtype = promoted(system, guess)
     if not concrete(system, state, frame):
         raise ValueError("equilibrium computes with concrete numbers: call it outside of jit, vmap and grad")
-    system.check(state)
-    omega = frame_of(system, state, frame)
-    dim = system.phase_space.dim
+    with jax.enable_x64(True):
+        found = _equilibrium(in_double(system), in_double(state), free, frame, spinning, float(np.finfo(dtype).eps))
+    found = rounded(found, dtype)
+    return found._replace(residual=jnp.maximum(found.residual, jnp.finfo(dtype).eps))
+
+
+def _equilibrium(
+    system: System,
+    start: State,
+    free: Sequence[int] | None,
+    frame: ArrayLike | None,
+    spinning: Sequence[int],
+    eps: float,
+) -> Equilibrium:
+    system.check(start)
+    omega, dim = frame_of(system, start, frame, eps), system.phase_space.dim
     chosen = np.arange(dim) if free is None else np.asarray(free, int)
     if chosen.ndim != 1 or not chosen.size or chosen.min() < 0 or chosen.max() >= dim:
         raise ValueError(f"free must be coordinates of the phase space, from 0 to {dim - 1}, got {free!r}")
-    spins = _symmetric_spins(system, state, spinning) if np.ndim(spinning) == 0 or len(spinning) else None
-    start, state = state, _newton(system, state, omega, chosen, spins)
-    found, space = derivatives(system, state, omega, spins), system.phase_space
-    rates, dtype = found.rates(), state.p.dtype
-    residual, change = jnp.asarray(found.residual(rates)), space.displacement(start, state)
-    moved = jnp.asarray(np.max(np.abs(change) / found.unit), dtype)
-    return Equilibrium(state, jnp.asarray(rates, dtype), omega, residual, moved, change, spins)
+    spins = _symmetric_spins(system, start, spinning, 1e3 * eps) if np.ndim(spinning) == 0 or len(spinning) else None
+    problem = Problem(system, omega, spins, chosen)
+    state, last = problem.solved(start)
+    if not last.is_rounding:
+        raise ValueError(_not_found(system, last))
+    change, rates = system.phase_space.displacement(start, state), problem.derivatives(state).rates()
+    residual, moved = jnp.asarray(last.distance), jnp.max(jnp.abs(change) / last.unit)
+    return Equilibrium(state, jnp.asarray(rates), omega, residual, moved, change, spins)
 
 
-def _symmetric_spins(system: System, state: State, bodies: Sequence[int]) -> Spins:
+def _not_found(system: System, last: Correction) -> str:
+    several = isinstance(system, AbstractRigidBodies)
+    return (
+        f"no relative equilibrium was found near this state: Newton's step from the last one is {last.size:.2g} in "
+        f"units of the state, its rounding error {float(last.rounding.max()):.2g}, and the force that no step removes "
+        f"{last.force:.2g} rounding errors. Give a closer guess, or free more coordinates"
+        + (". All bodies rotate at one rate there, but those that you list as spinning" if several else "")
+    )
+
+
+def _symmetric_spins(system: System, state: State, bodies: Sequence[int], tolerance: float) -> Spins:
     """The axes about which these bodies are symmetric; ValueError if one is not."""
     if not isinstance(system, AbstractRigidBodies):
         raise ValueError(f"spinning is for bodies of systems.rigid_bodies, got {type(system).__name__}")
     numbers, n = np.asarray(bodies), len(system.masses)
     if numbers.ndim != 1 or numbers.dtype.kind not in "iu" or numbers.min() < 0 or numbers.max() >= n:
         raise ValueError(f"spinning must be numbers of bodies, from 0 to {n - 1}, got {bodies!r}")
-    Omega, tolerance = np.asarray(system.angular_velocities(state)), 1e3 * float(np.finfo(state.p.dtype).eps)
+    Omega = np.asarray(system.angular_velocities(state))
     spins = Spins(jnp.asarray(numbers), jnp.stack([_axis(system.inertias[i], Omega[i], tolerance, i) for i in numbers]))
     turning = np.asarray(_torques_about(system, state, spins))
     for i, relative in zip(numbers, turning, strict=True):
@@ -272,64 +202,22 @@ def _torques_about(system: AbstractRigidBodies, state: State, spins: Spins) -> A
     return jnp.max(jax.vmap(torque)(offsets), axis=0)
 
 
-def _newton(system: System, state: State, frame: Array, free: np.ndarray, spins: Spins | None) -> State:
-    """The state at which dK vanishes to round-off; ValueError if Newton's method does not reach it."""
-    found = derivatives(system, state, frame, spins)
-    rates = found.rates()
-    residual, eps = found.residual(rates), float(np.finfo(state.p.dtype).eps)
-    for _ in range(_ITERATIONS):
-        hessian, (directions, _) = found.hessian(rates)[:, free], found.directions()
-        size = np.linalg.norm(hessian, axis=0).max()
-        matrix = np.concatenate([hessian, _WEIGHT * (size or 1) * directions.T], axis=1)
-        correction = -np.linalg.lstsq(matrix, found.gradient(rates), rcond=_RANK)[0][: free.size]
-        correction *= min(1.0, 0.5 / max(float(np.abs(correction).max()), 1e-300))
-        for _ in range(_HALVINGS):
-            delta = np.zeros(found.unit.size)
-            delta[free] = correction
-            moved = _perturb(system, state, jnp.asarray(delta * found.unit, state.p.dtype))
-            after = derivatives(system, moved, frame, spins)
-            less = after.residual(after.rates())
-            if less < residual:
-                break
-            correction = correction / 2
-        else:
-            break
-        state, found, rates, residual = moved, after, after.rates(), less
-        if size == 0 or residual <= eps:
-            break
-    if not residual <= 1e4 * eps:
-        several = isinstance(system, AbstractRigidBodies)
-        raise ValueError(
-            f"no relative equilibrium was found near this state: |dK| decreased to {residual:.2g} of the second "
-            "derivatives of K and no further. Give a closer guess, or free more coordinates"
-            + (". All bodies rotate at one rate there, but those that you list as spinning" if several else "")
-        )
-    return state
+def frame_of(system: System, state: State, given: ArrayLike | None, eps: float) -> Array:
+    """ω; ValueError unless the motion in axes that rotate with ω has a time-independent Hamiltonian.
 
-
-@partial(compiled, once=True)
-def _perturb(system: System, state: State, delta: Array) -> State:
-    return system.phase_space.perturb(state, delta)
-
-
-def _is_attitude(system: System) -> bool:
-    space = system.phase_space
-    return isinstance(space, CotangentGroup) and space.group is so3
-
-
-def frame_of(system: System, state: State, given: ArrayLike | None) -> Array:
-    """ω; ValueError unless the motion in axes that rotate with ω has a time-independent Hamiltonian."""
+    `eps` is that of the numbers in which the system was given.
+    """
     dtype = state.p.dtype
     if given is not None:
         omega = _checks.real_array("frame", given, (3,)).astype(dtype)
-        if not _is_attitude(system) and np.any(np.asarray(omega)):
+        if not is_attitude(system) and np.any(np.asarray(omega)):
             raise ValueError("frame is for the attitude of a body, a system on T*SO(3)")
     elif isinstance(system, AbstractDrivenTop) and callable(system.axis):
         omega = _axis_rate(system, state)
     else:
         omega = jnp.zeros(3, dtype)
     varying, mismatch = (float(x) for x in _defects(system, state, omega, units_at_start(system, state)))
-    tolerance = float(np.finfo(dtype).eps) ** 0.5
+    tolerance = eps**0.5
     if not varying <= tolerance:
         raise ValueError(
             f"in axes that rotate with {np.asarray(omega)} the energy depends on time, by {varying:.2g} of its "
@@ -364,7 +252,7 @@ def _defects(system: System, state: State, omega: Array, unit: Array) -> tuple[A
 
     def energy(z: State, s: Array) -> Array:
         turn = so3.exp(s * omega)
-        if _is_attitude(system):
+        if is_attitude(system):
             z = z._replace(q=so3.multiply(turn, z.q), p=so3.Ad(turn, z.p))
         return system.energy(z if z.t is None else z._replace(t=z.t + s))
 

@@ -12,13 +12,15 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import Array
 from numpy.typing import ArrayLike
 
 from lieint_jax._checks import concrete
-from lieint_jax.diagnostics._equilibrium import Derivatives, Equilibrium, derivatives, frame_of
+from lieint_jax.diagnostics._critical_point import Derivatives, Problem, Spins, in_double, rounded
+from lieint_jax.diagnostics._equilibrium import Equilibrium, frame_of
 from lieint_jax.types import State, System, promoted
 
 _RANK = 1e-7  # of the dimension of a space: singular values below this part of the largest one count as 0
@@ -91,19 +93,29 @@ def normal_modes(system: System, state: State | Equilibrium, *, frame: ArrayLike
     Dynamical Systems, 3.3 (the pairs), and Krein's theorem: Yakubovich & Starzhinskii 1975, III.
     """
     given, spins = (state.state, state.spins) if isinstance(state, Equilibrium) else (state, None)
-    system, at, _ = promoted(system, given)
+    system, at, dtype = promoted(system, given)
     if not concrete(system, at, frame):
         raise ValueError("normal_modes computes with concrete numbers: call it outside of jit, vmap and grad")
+    with jax.enable_x64(True):
+        modes = _about(in_double(system), in_double(at), in_double(spins), frame, float(np.finfo(dtype).eps))
+    return rounded(modes, dtype)
+
+
+def _about(system: System, at: State, spins: Spins | None, frame: ArrayLike | None, eps: float) -> NormalModes:
+    """The modes of the equilibrium next to a state: the stress of a small displacement would stiffen soft modes."""
     system.check(at)
-    found = derivatives(system, at, frame_of(system, at, frame), spins)
-    rates = found.rates()
-    residual, eps = found.residual(rates), float(np.finfo(at.p.dtype).eps)
-    if not residual <= max(1e-6, 1e3 * eps):
+    problem = Problem(system, frame_of(system, at, frame, eps), spins, np.arange(system.phase_space.dim))
+    step = problem.correction(at)
+    if not step.is_rounding and step.size <= max(1e-6, 1e3 * eps):
+        at = problem.newton(at)
+        step = problem.correction(at)
+    if not step.is_rounding:
         raise ValueError(
-            f"this state is not a relative equilibrium: |dK| is {residual:.2g} of the second derivatives of K. "
-            "li.equilibrium(system, state) finds one near it"
+            f"this state is not a relative equilibrium: by Newton's method the next one is {step.size:.2g} away, in "
+            "radians or units of the state. li.equilibrium(system, state) finds it"
         )
-    return _modes(found, rates, 8 * eps**0.5)
+    found = problem.derivatives(at)
+    return _modes(found, found.rates(), 8 * eps**0.5)
 
 
 def _modes(found: Derivatives, rates: np.ndarray, small: float) -> NormalModes:
