@@ -20,7 +20,7 @@ from lieint_jax.runs._job import devices as _devices
 from lieint_jax.runs._job import engine as _engine
 from lieint_jax.runs._job import facts as _facts
 from lieint_jax.runs._job import job as _job
-from lieint_jax.runs._job import make_job as _make_job
+from lieint_jax.runs._job import made_states as _made_states
 from lieint_jax.runs._job.split import Split
 from lieint_jax.runs._storage import bucket as _bucket
 from lieint_jax.runs._storage import disk as _disk
@@ -115,7 +115,7 @@ def commit_every(monkeypatch, rows, in_bucket=None):
 
 def make_states_of(monkeypatch, members):
     """Let functions of states be called for so many members at once."""
-    monkeypatch.setattr(_make_job, "BLOCK", members)
+    monkeypatch.setattr(_made_states, "BLOCK", members)
 
 
 def small_chunks(monkeypatch, members, joined):

@@ -15,8 +15,9 @@ from lieint_jax import _checks
 from lieint_jax.dates import DateLike, text_of
 from lieint_jax.runs._host.execute import compute
 from lieint_jax.runs._host.run import Run, run_of_saves, stored_run
-from lieint_jax.runs._job.job import MakeStates, MemberSummary, Summary, with_member_axis
+from lieint_jax.runs._job.job import MemberSummary, Summary, with_member_axis
 from lieint_jax.runs._job.loop import Reduction
+from lieint_jax.runs._job.made_states import MakeStates
 from lieint_jax.runs._job.make_job import check_own_steps, is_batch
 from lieint_jax.runs._storage.storage import StoreOptions, address
 from lieint_jax.runs.store._reading import open_with_step

@@ -14,7 +14,7 @@ import dataclasses
 import enum
 import hashlib
 import sys
-from collections.abc import Callable, Iterator
+from collections.abc import Iterable, Iterator
 from functools import cache
 from typing import Any
 
@@ -31,9 +31,10 @@ from lieint_jax.types import State, leaves_by_name
 Program = Any  # a `Jaxpr` or a `ClosedJaxpr`
 _NOT_COMPARABLE = "cannot be compared: "  # begins the reason that stands in place of a digest
 _PACKAGES = ("jax", "jaxlib", __name__.partition(".")[0])  # in which the name of an operation says what it computes
+_PYTHON = "they call back into Python: write that function with jax.numpy"
 _OUTSIDE = {  # operations whose results are those of other code
-    "pure_callback": "they call back into Python",
-    "io_callback": "they call back into Python",
+    "pure_callback": _PYTHON,
+    "io_callback": _PYTHON,
     "ffi_call": "they call a library by jax.ffi",
 }
 _SHOWN = ("debug_callback", "debug_print")  # they change no value, whatever they print
@@ -66,13 +67,10 @@ def digest_of_arrays(*leaves: ArrayLike | bytes) -> str:
     return found.hexdigest()[:16]
 
 
-def digest_of_states(*states: State) -> str:
+def digest_of_states(states: State) -> str:
     """The digest of the arrays of states: q and p first, then each optional array after its name."""
-    parts = []
-    for each in states:
-        q, p, *rest = leaves_by_name(each).items()
-        parts += [q[1], p[1], *(part for name, x in rest for part in (name.encode(), x))]
-    return digest_of_arrays(*parts)
+    q, p, *rest = leaves_by_name(states).items()
+    return digest_of_arrays(q[1], p[1], *(part for name, x in rest for part in (name.encode(), x)))
 
 
 def digest_of_programs(*programs: ClosedJaxpr) -> str:
@@ -81,14 +79,13 @@ def digest_of_programs(*programs: ClosedJaxpr) -> str:
     Raises:
         NotComparableError: the results are not determined by the equations, or a part of an equation has no text.
     """
-    text = _Text()
-    return _hash(map(text.digest, programs))[:16]
+    return _hash(map(_Text().digest, programs))[:16]
 
 
-def digest_or_reason(programs: Callable[[], list[ClosedJaxpr]]) -> str:
+def digest_or_reason(*programs: ClosedJaxpr) -> str:
     """The digest of programs, or why they cannot be compared."""
     try:
-        return digest_of_programs(*programs())
+        return digest_of_programs(*programs)
     except NotComparableError as reason:
         return f"{_NOT_COMPARABLE}{reason}"
 
@@ -133,7 +130,7 @@ class _Text:
         """What an equation does with its operands."""
         name = equation.primitive.name
         if name in _OUTSIDE:
-            raise NotComparableError(f"{_OUTSIDE[name]} ({name})")
+            raise NotComparableError(_OUTSIDE[name])
         if not _is_known(equation.primitive):
             raise NotComparableError(f"{name} is an operation of another package")
         expanded = native.expanded(equation)
@@ -178,7 +175,7 @@ class _Text:
         raise NotComparableError(f"an operation has a parameter without a text, {of} of {type(x).__module__}")
 
 
-def _hash(lines: Any) -> str:
+def _hash(lines: Iterable[str]) -> str:
     found = hashlib.sha256()
     for line in lines:
         found.update(f"{line}\n".encode())
@@ -205,7 +202,7 @@ def _array(x: Any) -> str:
 
 
 def _text_of_bytes(data: bytes) -> str:
-    return data.hex() if len(data) <= 32 else hashlib.sha256(data).hexdigest()  # noqa: PLR2004
+    return data.hex() if len(data) <= 32 else hashlib.sha256(data).hexdigest()
 
 
 def _name_of_dtype(x: Any) -> str:
