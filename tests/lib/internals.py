@@ -167,12 +167,9 @@ def control_groups(monkeypatch, top, own):
 
 
 def another_version(monkeypatch, **versions):
-    """Let stores be written by another version of `lieint_jax` or `python`."""
-    for name, version in versions.items():
-        if name == "python":
-            monkeypatch.setattr(_identity, "python_of", lambda *_, version=version: version)
-        else:
-            monkeypatch.setattr(_facts, "__version__", version)
+    """Let stores be written by other versions of packages."""
+    known = _facts.package_versions()
+    monkeypatch.setattr(_identity, "package_versions", lambda: known | versions)
 
 
 def after_commits(monkeypatch, action):

@@ -186,7 +186,10 @@ def _type(aval: Any) -> str:
     """The type of a value: its dtype and shape."""
     weak = "~" if getattr(aval, "weak_type", False) else ""
     kind = "" if isinstance(aval, jax.core.ShapedArray) else type(aval).__name__
-    return f"{weak}{kind}{getattr(aval, 'dtype', '')}{list(getattr(aval, 'shape', ()))}"
+    return f"{weak}{kind}{_text_of(getattr(aval, 'dtype', ''))}{list(getattr(aval, 'shape', ()))}"
+
+
+_text_of = cache(str)  # of a dtype, for which NumPy needs microseconds
 
 
 def _array(x: Any) -> str:
