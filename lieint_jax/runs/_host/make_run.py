@@ -196,8 +196,8 @@ def run(
         processes.LostProcess: another process of this run is gone.
 
     Warns:
-        RuntimeWarning: a step that refers to something that cannot be compared, so that the store cannot be resumed;
-            members that fail to converge later; times so large that their floating-point numbers are dt/10⁶ apart.
+        RuntimeWarning: a step or a function that calls back into Python, so that the store cannot be resumed; members
+            that fail to converge later; times so large that their floating-point numbers are dt/10⁶ apart.
     """
     if own_step:
         check_own_steps(step, members if callable(states) else len(states.p))
