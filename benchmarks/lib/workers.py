@@ -174,7 +174,7 @@ class Simulation:
         self.job = _make_job.checked_job(step, states, 0.05, steps, 1, None, None, "x.zarr", None, None)
         options = StoreOptions(f"memory://simulation/{name}.zarr")
         self.url = address(str(options.path))
-        described = _identity.description(self.job, Engine(self.job, "xla", 1))
+        described = _identity.description(self.job, Engine(self.job, "native", 1))
         split = _make_job.split_into_parts(self.job, model.workers, False)
         with mock.patch.object(_job.Job, "buffer_rows", return_value=model.rows):
             self.files = _into_store._skeleton(self.job, options, described, split, True, True)

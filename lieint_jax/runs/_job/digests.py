@@ -13,6 +13,7 @@ from __future__ import annotations
 import dataclasses
 import enum
 import hashlib
+import inspect
 import sys
 from collections.abc import Iterable, Iterator
 from functools import cache
@@ -21,6 +22,7 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jax.core import ShapedArray
 from jax.extend.core import ClosedJaxpr, Jaxpr, JaxprEqn, Literal, Primitive
 from jax.typing import ArrayLike
 
@@ -163,14 +165,14 @@ class _Text:
             return f"{of}{sorted(self._value(part) for part in x)}"
         if isinstance(x, dict):
             return f"{of}{sorted(f'{self._value(key)}: {self._value(part)}' for key, part in x.items())}"
-        if isinstance(x, jax.core.ShapedArray):
+        if isinstance(x, ShapedArray):
             return _type(x)
         if _is_of_jax(x) and dataclasses.is_dataclass(x):
             return f"{of}{[self._value(getattr(x, field.name)) for field in dataclasses.fields(x)]}"
         if _is_of_jax(x) and callable(x) and _is_found_by_name(x):
             return f"{x.__module__}.{x.__qualname__}"
         shown = repr(x)
-        if _is_of_jax(x) and _OF_JAX & {cls.__name__ for cls in type(x).__mro__} and " at 0x" not in shown:
+        if _is_of_jax(x) and _OF_JAX & {cls.__name__ for cls in inspect.getmro(type(x))} and " at 0x" not in shown:
             return shown
         raise NotComparableError(f"an operation has a parameter without a text, {of} of {type(x).__module__}")
 
@@ -185,7 +187,7 @@ def _hash(lines: Iterable[str]) -> str:
 def _type(aval: Any) -> str:
     """The type of a value: its dtype and shape."""
     weak = "~" if getattr(aval, "weak_type", False) else ""
-    kind = "" if isinstance(aval, jax.core.ShapedArray) else type(aval).__name__
+    kind = "" if isinstance(aval, ShapedArray) else type(aval).__name__
     return f"{weak}{kind}{_text_of(getattr(aval, 'dtype', ''))}{list(getattr(aval, 'shape', ()))}"
 
 

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import logging
 from collections.abc import Sequence
+from functools import cached_property
 from typing import Any
 
 import jax
@@ -61,10 +62,6 @@ class Engine:
         job: the run.
         name: of the engine of its loops: "native" (machine code), "kernel" (of a GPU) or "xla".
         threads: the number of threads of machine code.
-
-    Attributes:
-        most_steps: the most steps in a call.
-        refusal: why the engine cannot compute the run; empty if it can.
     """
 
     def __init__(self, job: Job, name: str, threads: int):
@@ -75,14 +72,27 @@ class Engine:
         self._plain: Axes = Given(own, None, of_time, None, None)  # pyright: ignore[reportArgumentType]
         self._axes = 0, Given(0 if self.prepares else own, own, of_time, None, reduced)  # pyright: ignore[reportArgumentType]
         self._loop = self._made(job.reduction, job.condition)
-        self.refusal, self.most_steps = "", 2**30
-        if name != "xla" and job.num_steps:
-            known = self._loop.known
-            if name not in known:
-                known[name] = self._examined()
-            self.refusal, shared = known[name]
-            if shared:
-                self.most_steps = max(1, _MOST_SHARED // shared)
+
+    @cached_property
+    def _known(self) -> tuple[str, int]:
+        """What `MemberLoop.known` has of this engine; nothing refuses a run by XLA or of no steps."""
+        if self.name == "xla" or not self.job.num_steps:
+            return "", 0
+        known = self._loop.known
+        if self.name not in known:
+            known[self.name] = self._examined()
+        return known[self.name]
+
+    @property
+    def refusal(self) -> str:
+        """Why the engine cannot compute the run; empty if it can."""
+        return self._known[0]
+
+    @property
+    def most_steps(self) -> int:
+        """The most steps in a call."""
+        shared = self._known[1]
+        return max(1, _MOST_SHARED // shared) if shared else 2**30
 
     def _made(self, *what: Reduction | None) -> MemberLoop:
         """The loop of a run that reduces this quantity until this condition, made once."""

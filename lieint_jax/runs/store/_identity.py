@@ -8,7 +8,7 @@ import os
 import platform
 import re
 import warnings
-from collections.abc import Iterable, Mapping
+from collections.abc import Collection, Mapping
 from pathlib import Path
 
 import jax
@@ -160,8 +160,9 @@ def device() -> str:
     return " ".join([platform.machine(), *found[:1]])
 
 
-def _differences_in(keys: Iterable[str], stored: Table, now: Table) -> list[str]:
-    return differences(*({key: described.get(key) for key in keys} for described in (stored, now)))
+def _differences_in(keys: Collection[str], stored: Table, now: Table) -> list[str]:
+    a, b = ({key: described.get(key) for key in keys} for described in (stored, now))
+    return differences(a, b)
 
 
 def _not_comparable(described: Table) -> dict[str, str]:
