@@ -121,7 +121,7 @@ def test_a_part_with_another_function_of_states_is_refused(tmp_path, one, others
     store = tmp_path / "run.zarr"
     run(one, store, (0, 2))
     for states, members in [*((x, MEMBERS) for x in others), (states_of(np.arange(MEMBERS)), None)]:
-        with pytest.raises(ValueError, match="holds another run.*the states that the function makes differ"):
+        with pytest.raises(ValueError, match=r"holds another run.*the states that the function makes differ"):
             run(states, store, (1, 2), members=members)
     run(one, store, (1, 2))
     assert_same(ensemble.open(store)[0], run(one))
