@@ -56,6 +56,7 @@ def on_paper(rate: float) -> dict[str, Any]:
     from lib import measure  # float64
 
     import lieint_jax as li
+    from lieint_jax.runs._job import made_states as _made_states
     from lieint_jax.runs._job import make_job as _make_job
 
     del measure
@@ -91,7 +92,7 @@ def on_paper(rate: float) -> dict[str, Any]:
         "objects": WORKERS * (commits * 4 * chunks + chunks + 1),
         "objects with chunks of 8192 members": math.ceil(MEMBERS / 8192) * (4 * commits + 1),
         "checksums in a state, bytes": commits * 4 * chunks * 4,
-        "initial states in each process, bytes": (part.members + 2 * _make_job.BLOCK) * 56,
+        "initial states in each process, bytes": (part.members + 2 * _made_states.BLOCK) * 56,
         "$ compute": hours * PRICE_CORE_HOUR,
         "$ puts": puts / 1000 * PRICE_1000_PUTS,
         "$ a month": data / 1e9 * PRICE_GB_MONTH,

@@ -21,6 +21,7 @@ import lieint_jax as li
 from lieint_jax.ensemble import archives
 from lieint_jax.runs._job import job as _job
 from lieint_jax.runs._job import make_job as _make_job
+from lieint_jax.runs._job.engine import Engine
 from lieint_jax.runs._storage.bucket import Bucket
 from lieint_jax.runs._storage.storage import Url, address
 from lieint_jax.runs.store import StoreOptions, _identity, _into_store
@@ -173,7 +174,7 @@ class Simulation:
         self.job = _make_job.checked_job(step, states, 0.05, steps, 1, None, None, "x.zarr", None, None)
         options = StoreOptions(f"memory://simulation/{name}.zarr")
         self.url = address(str(options.path))
-        described = _identity.description(self.job, "native")
+        described = _identity.description(self.job, Engine(self.job, "native", 1))
         split = _make_job.split_into_parts(self.job, model.workers, False)
         with mock.patch.object(_job.Job, "buffer_rows", return_value=model.rows):
             self.files = _into_store._skeleton(self.job, options, described, split, True, True)

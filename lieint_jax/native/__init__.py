@@ -16,6 +16,7 @@ from lieint_jax.native._march_code import computed_by, engine, engine_name, loop
 from lieint_jax.native._primitives.abstract_walk import UnsupportedError, unsupported_if_it_fails
 from lieint_jax.native._scan import scan
 from lieint_jax.native._traced import make_once
+from lieint_jax.native._walk import expanded
 
 __all__ = [
     "Explanation",
@@ -25,6 +26,7 @@ __all__ = [
     "computed_by",
     "engine",
     "engine_name",
+    "expanded",
     "explain",
     "hoisted",
     "loops_of",

@@ -147,9 +147,9 @@ class Walk(AbstractWalk):
             inputs = [as_numbers(x) for x in inputs]
         if name in CONTROL_FLOW:
             return CONTROL_FLOW[name](self, inputs, parameters, out)
-        expanded = _expand(equation)
-        if expanded is not None:
-            return self.jaxpr(expanded, inputs)
+        operations = expanded(equation)
+        if operations is not None:
+            return self.jaxpr(operations, inputs)
         parameters = {k: x for k, x in parameters.items() if x is not None and k not in _HARMLESS}
         if any(isinstance(x, Table) for x in inputs):
             return [look_up(self, name, inputs, parameters, out[0])]
@@ -170,7 +170,7 @@ class Walk(AbstractWalk):
         return results
 
 
-def _expand(equation: JaxprEqn) -> ClosedJaxpr | None:
+def expanded(equation: JaxprEqn) -> ClosedJaxpr | None:
     """The operations of which a composite primitive consists, such as `custom_root` of JAX ≥ 0.12; None for others."""
     primitive, operands = equation.primitive, shapes_of(equation.invars)
     if primitive is march_p:  # a loop inside of a step

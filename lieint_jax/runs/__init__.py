@@ -20,8 +20,9 @@ from lieint_jax.runs._host.run import Run
 from lieint_jax.runs._host.submit import Executor, submit
 from lieint_jax.runs._job import processes
 from lieint_jax.runs._job.devices import count_cores, first_devices, want_devices
-from lieint_jax.runs._job.job import MakeStates, Summary
+from lieint_jax.runs._job.job import Summary
 from lieint_jax.runs._job.loop import Reduction, compiler_options, energy
+from lieint_jax.runs._job.made_states import MakeStates
 from lieint_jax.runs._job.over_members import over_members
 from lieint_jax.runs._job.part_of_task import part_of_task, part_of_text
 from lieint_jax.runs._march.clock import (

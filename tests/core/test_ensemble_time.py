@@ -177,7 +177,7 @@ def test_a_run_that_ended_resumes_to_the_same_bits(tmp_path, small_chunks, make)
 def test_a_run_at_another_time_does_not_resume(tmp_path):
     path = tmp_path / "run.zarr"
     run(path)
-    with pytest.raises(ValueError, match="initial states is"):
+    with pytest.raises(ValueError, match="the initial states differ"):
         run(path, states=started(0.8), resume=True)
 
 

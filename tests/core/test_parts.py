@@ -327,7 +327,7 @@ def test_a_crafted_state_is_named_and_not_used(tmp_path, monkeypatch, case):
     assert "part 0 (members 0 … 20) is damaged: its state is no state" in opened(path)[1]
 
 
-@pytest.mark.parametrize("text", ["[]", '{"attributes": {"progress": 1, "format": 6}}', "[" * 200_000, "{"])
+@pytest.mark.parametrize("text", ["[]", '{"attributes": {"progress": 1, "format": 7}}', "[" * 200_000, "{"])
 def test_a_crafted_root_is_named_before_a_part_is_resumed(place, text):
     archives.open_storage(place).put("zarr.json", text.encode())
     with pytest.raises(ValueError, match=r"run\.zarr") as error:

@@ -56,7 +56,7 @@ def test_a_store_gives_the_trajectory_and_the_system_back(tmp_path):
     np.testing.assert_array_equal(jax.vmap(body.energy)(last), jax.vmap(BODY.energy)(last))
     shown = xarray.open_zarr(path)
     np.testing.assert_array_equal(shown.system_inertia, [1, 2, 3])
-    assert (shown.attrs["format"], shown.attrs["leaves"]) == (6, ["q", "p"])
+    assert (shown.attrs["format"], shown.attrs["leaves"]) == (7, ["q", "p"])
 
 
 @pytest.mark.long

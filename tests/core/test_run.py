@@ -49,7 +49,7 @@ def test_a_run_of_one_body_is_integrate_to_the_bit_and_knows_its_step():
     assert run.step.system is run.system
     assert run.converged.shape == ()
     assert run.converged
-    assert set(run.versions) == {"lieint_jax", "jax", "jaxlib"}
+    assert set(run.versions) == {"lieint_jax", "jax", "jaxlib", "numpy"}
 
 
 def test_a_batch_has_the_axes_time_and_member_and_its_members_are_runs():

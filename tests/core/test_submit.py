@@ -221,10 +221,10 @@ def test_parts_of_another_machine_are_accepted_if_asked_for_and_recorded(tmp_pat
     li.run(STEP, STATES, part=(0, 2), **options)
     assert "part 0 on" not in info.contents(path)
     internals.another_machine(monkeypatch, "another processor", "9.9.1")
-    refused = r"another machine.* and 'another processor' here.*jaxlib is .* and '9\.9\.1' here\. Pass same_bits=False"
+    refused = r"another machine.*jaxlib is .* and '9\.9\.1' here; device is .* and 'another processor' here\."
     with pytest.raises(ValueError, match=refused):
         li.run(STEP, STATES, part=(1, 2), **options)
-    with pytest.raises(ValueError, match=r"holds another run.*: device is .*; dt is 0.1"):
+    with pytest.raises(ValueError, match=r"holds another run.*: versions.jaxlib is .*; device is .*; dt is 0.1"):
         li.run(STEP, STATES, part=(1, 2), same_bits=False, **options | {"dt": 0.2})
     found = submit(path, Engine(), 2, same_bits=False)
     assert_same(found.state, whole.state)

@@ -19,7 +19,7 @@ from lieint_jax.runs._job import devices as _devices
 from lieint_jax.runs._job import engine as _engine
 from lieint_jax.runs._job import facts as _facts
 from lieint_jax.runs._job import job as _job
-from lieint_jax.runs._job import make_job as _make_job
+from lieint_jax.runs._job import made_states as _made_states
 from lieint_jax.runs._job.split import Split
 from lieint_jax.runs._storage import bucket as _bucket
 from lieint_jax.runs._storage import disk as _disk
@@ -114,7 +114,7 @@ def commit_every(monkeypatch, rows, in_bucket=None):
 
 def make_states_of(monkeypatch, members):
     """Let functions of states be called for so many members at once."""
-    monkeypatch.setattr(_make_job, "BLOCK", members)
+    monkeypatch.setattr(_made_states, "BLOCK", members)
 
 
 def small_chunks(monkeypatch, members, joined):
@@ -166,12 +166,9 @@ def control_groups(monkeypatch, top, own):
 
 
 def another_version(monkeypatch, **versions):
-    """Let stores be written by another version of `lieint_jax` or `python`."""
-    for name, version in versions.items():
-        if name == "python":
-            monkeypatch.setattr(_identity, "python_of", lambda *_, version=version: version)
-        else:
-            monkeypatch.setattr(_facts, "__version__", version)
+    """Let stores be written by other versions of packages."""
+    known = _facts.package_versions()
+    monkeypatch.setattr(_identity, "package_versions", lambda: known | versions)
 
 
 def after_commits(monkeypatch, action):

@@ -22,9 +22,10 @@ from lieint_jax.runs._job import devices, processes
 from lieint_jax.runs._job.devices import Layout
 from lieint_jax.runs._job.engine import Engine, engine_of
 from lieint_jax.runs._job.facts import Facts
-from lieint_jax.runs._job.job import MAX_NAMED, MakeStates, list_members
+from lieint_jax.runs._job.job import MAX_NAMED, list_members
 from lieint_jax.runs._job.loop import Carry, Given, energy
-from lieint_jax.runs._job.make_job import made_states, make_jobs
+from lieint_jax.runs._job.made_states import MakeStates, made_states
+from lieint_jax.runs._job.make_job import make_jobs
 from lieint_jax.runs._job.memory_output import MemoryOutput, first_rows, gather_rows, reduce_rows
 from lieint_jax.runs._job.part_of_task import checked_part, part_of_task
 from lieint_jax.runs._march.clock import GridClock, more_times
@@ -81,7 +82,7 @@ def compute(
     with processes.name_lost(mesh) if jax.process_count() > 1 else contextlib.nullcontext():
         if options is None:
             if devices.count_processes(mesh) > 1:
-                _identity.check_processes(mesh, _identity.description(job, engine.name), store=None, resume=False)
+                _identity.check_processes(mesh, _identity.description(job, engine), store=None, resume=False)
             layout = devices.layout_of(mesh, job.members)
             saves = execute(engine, layout, MemoryOutput(job, layout, earlier), progress)
             assert saves is not None
@@ -91,7 +92,7 @@ def compute(
             return job.step, saves, Facts.of_job(job, engine.name), start, *functions, times
         saves = run_into_store(
             job,
-            engine.name,
+            engine,
             options,
             lambda layout, output: execute(engine, layout, output, progress),
             whole=whole,

@@ -15,8 +15,9 @@ from lieint_jax import _checks
 from lieint_jax.dates import DateLike, text_of
 from lieint_jax.runs._host.execute import compute
 from lieint_jax.runs._host.run import Run, run_of_saves, stored_run
-from lieint_jax.runs._job.job import MakeStates, MemberSummary, Summary, with_member_axis
+from lieint_jax.runs._job.job import MemberSummary, Summary, with_member_axis
 from lieint_jax.runs._job.loop import Reduction
+from lieint_jax.runs._job.made_states import MakeStates
 from lieint_jax.runs._job.make_job import check_own_steps, is_batch
 from lieint_jax.runs._storage.storage import StoreOptions, address
 from lieint_jax.runs.store._reading import open_with_step
@@ -195,8 +196,8 @@ def run(
         processes.LostProcess: another process of this run is gone.
 
     Warns:
-        RuntimeWarning: a step that refers to something that cannot be compared, so that the store cannot be resumed;
-            members that fail to converge later; times so large that their floating-point numbers are dt/10⁶ apart.
+        RuntimeWarning: a step or a function that calls back into Python, so that the store cannot be resumed; members
+            that fail to converge later; times so large that their floating-point numbers are dt/10⁶ apart.
     """
     if own_step:
         check_own_steps(step, members if callable(states) else len(states.p))

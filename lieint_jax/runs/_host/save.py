@@ -12,6 +12,7 @@ import numpy as np
 
 from lieint_jax.runs._job import devices
 from lieint_jax.runs._job.devices import Layout
+from lieint_jax.runs._job.engine import Engine
 from lieint_jax.runs._job.job import Job
 from lieint_jax.runs._job.memory_output import rows_and_carry
 from lieint_jax.runs._storage.leaves import Saves
@@ -32,7 +33,7 @@ def write(job: Job, engine: str, saves: Saves, store: str | Path | StoreOptions)
     unfinished = path.with_name(f".{path.name}.{os.getpid()}.zarr")
     try:
         hidden, mesh = options._replace(path=unfinished), devices.checked_mesh(None)
-        run_into_store(job, engine, hidden, partial(_feed, job, saves), whole=job, mesh=mesh)
+        run_into_store(job, Engine(job, engine, 1), hidden, partial(_feed, job, saves), whole=job, mesh=mesh)
         os.rename(unfinished, path)
     finally:
         shutil.rmtree(unfinished, ignore_errors=True)

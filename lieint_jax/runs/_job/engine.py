@@ -9,18 +9,23 @@ from __future__ import annotations
 
 import logging
 from collections.abc import Sequence
+from functools import cached_property
+from typing import Any
 
 import jax
 import numpy as np
+from jax.extend.core import ClosedJaxpr
 from jax.sharding import Mesh
 
 from lieint_jax import native
 from lieint_jax.native import UnsupportedError, computed_by, unsupported_if_it_fails, warn_once
 from lieint_jax.runs._job import devices, loop
 from lieint_jax.runs._job.devices import Layout, Numbers, Tree
+from lieint_jax.runs._job.digests import digest_or_reason
 from lieint_jax.runs._job.job import Job
 from lieint_jax.runs._job.loop import Axes, Carry, Given, MemberLoop, Reduction, Span
-from lieint_jax.runs._march.clock import GridClock, power_of_two
+from lieint_jax.runs._march.clock import Clock, GridClock, power_of_two
+from lieint_jax.runs._march.driver import prepared
 from lieint_jax.types import State, Step
 
 _log = logging.getLogger(__name__)
@@ -57,10 +62,6 @@ class Engine:
         job: the run.
         name: of the engine of its loops: "native" (machine code), "kernel" (of a GPU) or "xla".
         threads: the number of threads of machine code.
-
-    Attributes:
-        most_steps: the most steps in a call.
-        refusal: why the engine cannot compute the run; empty if it can.
     """
 
     def __init__(self, job: Job, name: str, threads: int):
@@ -70,19 +71,68 @@ class Engine:
         reduced = None if job.reduction is None else 0
         self._plain: Axes = Given(own, None, of_time, None, None)  # pyright: ignore[reportArgumentType]
         self._axes = 0, Given(0 if self.prepares else own, own, of_time, None, reduced)  # pyright: ignore[reportArgumentType]
-        step = job.step if own is None else jax.tree.map(_member_shape, job.step)
-        t0 = job.t0 if of_time is None else jax.tree.map(_member_shape, job.t0)
+        self._loop = self._made(job.reduction, job.condition)
+
+    @cached_property
+    def _known(self) -> tuple[str, int]:
+        """What `MemberLoop.known` has of this engine; nothing refuses a run by XLA or of no steps."""
+        if self.name == "xla" or not self.job.num_steps:
+            return "", 0
+        known = self._loop.known
+        if self.name not in known:
+            known[self.name] = self._examined()
+        return known[self.name]
+
+    @property
+    def refusal(self) -> str:
+        """Why the engine cannot compute the run; empty if it can."""
+        return self._known[0]
+
+    @property
+    def most_steps(self) -> int:
+        """The most steps in a call."""
+        shared = self._known[1]
+        return max(1, _MOST_SHARED // shared) if shared else 2**30
+
+    def _made(self, *what: Reduction | None) -> MemberLoop:
+        """The loop of a run that reduces this quantity until this condition, made once."""
+        job, axes = self.job, self._axes
+        if what[0] is None:
+            axes = axes[0], axes[1]._replace(quantity=None)
         rests = None if job.rests is None else job.rests[:0]  # their number makes no difference
-        examples = step, jax.tree.map(_member_shape, job.states), t0, job.clock, rests
-        self._loop = native.make_once(MemberLoop, (job.reduction, job.condition), self._axes, examples)
-        self.refusal, self.most_steps = "", 2**30
-        if name != "xla" and job.num_steps:
-            known = self._loop.known
-            if name not in known:
-                known[name] = self._examined()
-            self.refusal, shared = known[name]
-            if shared:
-                self.most_steps = max(1, _MOST_SHARED // shared)
+        return native.make_once(MemberLoop, what, axes, (*self._of_one_member(), job.clock, rests))
+
+    def _of_one_member(self) -> tuple[Step, State, Numbers | None]:
+        """The step of a member, its initial state and its time; what each member has of its own is a shape."""
+        job = self.job
+        step = job.step if job.step_axis is None else jax.tree.map(_member_shape, job.step)
+        t0: Any = _member_shape(job.t0) if job.own_times else job.t0  # pyright: ignore
+        return step, jax.tree.map(_member_shape, job.states), t0
+
+    @property
+    def equations(self) -> dict[str, str | None]:
+        """The digests of the equations of the step, of `reduce` and of `first`, or why these cannot be compared.
+
+        Those of the step are of the loop that the run compiles, which JAX has traced; only a run with `reduce` traces
+        its step once more.
+        """
+        job, made = self.job, self._made(None, None)
+        plain, state, t0 = self._of_one_member()
+        at_start: Any = state if t0 is None else state._replace(t=jax.ShapeDtypeStruct((), job.dtype))
+        examples = plain, at_start, job.clock
+        with computed_by(self.name, self._threads):
+            if made.equations is None:
+                given, programs = Given(plain, None, t0, job.clock, None), []
+                if self.prepares:
+                    step, program = _with_constants(*examples)
+                    given, programs = given._replace(step=step, plain=plain), [program]
+                interval = made.traced(*loop.shapes_of_interval(state, job.rests is not None), given)
+                made.equations = digest_or_reason(*programs, interval)
+            functions = {"equations of reduce": job.reduction, "equations of first": job.condition}
+            return {"equations of the step": made.equations} | {
+                name: None if f is None else native.make_once(_equations_of, f, (self.prepares,), examples)
+                for name, f in functions.items()
+            }
 
     def _examined(self) -> tuple[str, int]:
         """What `MemberLoop.known` has of this engine."""
@@ -183,6 +233,19 @@ class Engine:
         spans = jax.tree.map(lambda x: np.resize(x, rows), Span(first, ends.astype(dtype), rests, begins))
         with computed_by(self.name, self._threads):
             return jax.block_until_ready(self._loop.of_all(carry, given, spans, np.int32(count)))
+
+
+def _equations_of(function: Reduction, kinds: tuple[bool], examples: tuple[Step, State, Clock]) -> str:
+    """The digest of a function's equations for a step, if `kinds` says so also with its constants, and a state."""
+    step, state, _ = examples
+    steps = [step, _with_constants(*examples)[0]] if kinds[0] else [step]
+    return digest_or_reason(*(jax.make_jaxpr(function)(step, state) for step in steps))
+
+
+def _with_constants(step: Step, state: State, clock: Clock) -> tuple[Step, ClosedJaxpr]:
+    """The shapes of a step with its constants, and the program that computes these."""
+    program, shapes = jax.make_jaxpr(prepared, return_shape=True)(step, state, clock)
+    return jax.tree.map(lambda x: jax.ShapeDtypeStruct(x.shape, x.dtype), shapes), program
 
 
 def _member_shape(x: Numbers) -> jax.ShapeDtypeStruct:

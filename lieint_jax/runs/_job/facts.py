@@ -19,6 +19,7 @@ from lieint_jax.runs._storage.leaves import Table
 from lieint_jax.types import State, Step, Trajectory, leaves_by_name, periods_of
 
 _version = cache(version)  # which reads a file
+_SHOWN = ("lieint_jax", "jax")  # packages whose versions are listed
 _SECONDS = {"1": 1.0, "s": 1.0, "min": 60.0, "h": 3600.0, "d": 86400.0, "day": 86400.0}  # of units of time
 
 
@@ -96,7 +97,8 @@ def dates_of(facts: Facts, start: dates.Epoch, saved: Trajectory) -> np.ndarray:
 
 def package_versions() -> dict[str, str]:
     """The versions of the packages that compute a run, by name."""
-    return {"lieint_jax": __version__, "jax": jax.__version__, "jaxlib": _version("jaxlib")}
+    own = {"lieint_jax": __version__, "jax": jax.__version__, "jaxlib": _version("jaxlib")}
+    return own | {"numpy": np.__version__}
 
 
 def lines(run: Any) -> dict[str, str]:
@@ -121,7 +123,7 @@ def lines(run: Any) -> dict[str, str]:
     if bad.size:
         first = bad[failed[bad].argmin()]
         shown["converged"] = f"not {list_members(bad)}; first member {first} at step {failed[first]}"
-    versions = ", ".join(f"{name} {version}" for name, version in facts.versions if name != "jaxlib")
+    versions = ", ".join(f"{name} {version}" for name, version in facts.versions if name in _SHOWN)
     if facts.engine:
         shown["computed"] = f"by {facts.engine}, {versions}{'' if facts.complete else '; not complete'}"
     if facts.source:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from typing import Any, NamedTuple
 
 import jax
@@ -11,6 +10,7 @@ import numpy as np
 from lieint_jax.runs._job import devices
 from lieint_jax.runs._job.devices import Numbers, Tree
 from lieint_jax.runs._job.loop import Change, Reduction
+from lieint_jax.runs._job.made_states import MadeStates
 from lieint_jax.runs._march.clock import Clock
 from lieint_jax.runs._storage.leaves import Saves, shared_time
 from lieint_jax.types import State, Step, Trajectory
@@ -20,7 +20,6 @@ _CHUNK_WORK = 2e8  # the most body-steps between two writes, unless one save int
 _OBJECT_BYTES, _OBJECT_WORK = 2**26, 2e10  # the same in object storage: q has up to 37 MB, minutes of a core
 CHUNK_MEMBERS = 8192  # the most members in a chunk on disk
 MAX_NAMED = 5  # members in a message
-MakeStates = Callable[[np.ndarray], State]  # of the members of these numbers
 Series = dict[str, np.ndarray]  # of a reduction, by name
 SERIES = ("least", "greatest", "mean", "residual", "unconverged")  # their names; of single members only the last two
 _CHUNKS_OF_BUFFER = _BUFFER_BYTES // _OBJECT_BYTES  # so many such chunks fill the buffer
@@ -132,7 +131,7 @@ class Job(NamedTuple):
     part: range | None = None
     batch: bool = True
     epoch: str = ""
-    make_states: MakeStates | None = None
+    make_states: MadeStates | None = None
 
     def restricted(self, members: range) -> Job:
         """The job of one of the run's parts, of these members only."""

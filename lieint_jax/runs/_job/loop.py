@@ -11,7 +11,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import Array, lax
-from jax.extend.core import jaxpr_as_fun
+from jax.extend.core import ClosedJaxpr, jaxpr_as_fun
 from jax.typing import ArrayLike
 
 from lieint_jax import native
@@ -149,6 +149,16 @@ def start(states: State, change: Change | None) -> Carry:
     return Carry(states, info, np.full(members, -1, step_dtype()), change)  # pyright: ignore[reportArgumentType]
 
 
+def shapes_of_interval(state: State, has_rest: bool) -> tuple[Carry, Span]:
+    """The shapes of the carry and of an interval of a member that starts at `state`, in a run without `reduce`."""
+
+    def number(dtype: Any) -> Any:
+        return jax.ShapeDtypeStruct((), dtype)
+
+    n, flag, size = number(step_dtype()), number(np.bool_), number(state.p.dtype)
+    return Carry(state, StepInfo(size, flag), n, None), Span(n, n, size if has_rest else None, flag)
+
+
 def step_dtype() -> np.dtype:
     """The dtype of step counts: int64, or int32 without x64."""
     return jax.dtypes.canonicalize_dtype(np.int64)
@@ -211,6 +221,7 @@ class MemberLoop:
         of_all: (carry, given, spans, number of spans) ↦ (carry, saved), compiled.
         known: by the names of engines, why they cannot compute it ("" if they can), and about how many numbers of a
             step the members then share.
+        equations: what an engine that computes it has found to be the digest of its equations.
     """
 
     def __init__(self, what: tuple[Reduction | None, Reduction | None], axes: Axes, _: Sequence[Tree]):
@@ -218,6 +229,7 @@ class MemberLoop:
         self._of_member = jax.jit(self._interval)
         self.of_all = jax.jit(jax.vmap(self._loop, (*axes, None, None), (0, 1)), compiler_options=compiler_options())
         self.known: dict[str, tuple[str, int]] = {}
+        self.equations: str | None = None
 
     def _loop(self, carry: Carry, given: Given, spans: Span, count: Array) -> tuple[Carry, Tree]:
         return native.march(self._of_member, carry, spans, (given,), rows=count, most=len(spans.first))
@@ -258,6 +270,11 @@ class MemberLoop:
             return change.include(value - given.quantity)
         reached = None if self._condition is None else self._condition(given.step, state)
         return change.include(value, reached, given.clock.time(n) if state.t is None else state.t)
+
+    def traced(self, carry: Carry, span: Span, given: Given) -> ClosedJaxpr:
+        """The program of an interval of a member, from arguments or their shapes."""
+        number = np.zeros((), step_dtype())
+        return self._of_member.trace(number, carry, span, given).jaxpr
 
     def by_xla(self, members: Iterable[tuple[Carry, Given, Span]]) -> list[tuple[Carry, Tree]]:
         """(carry, saved) after one interval of each of these members, by one program of XLA."""

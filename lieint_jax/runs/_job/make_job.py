@@ -15,8 +15,9 @@ from numpy.typing import ArrayLike
 from lieint_jax import _checks
 from lieint_jax.native import make_once
 from lieint_jax.runs._job import devices
-from lieint_jax.runs._job.job import Job, MakeStates, chunk_members, list_members
+from lieint_jax.runs._job.job import Job, chunk_members, list_members
 from lieint_jax.runs._job.loop import Reduction, energy
+from lieint_jax.runs._job.made_states import MadeStates, MakeStates
 from lieint_jax.runs._job.split import Split
 from lieint_jax.runs._march.clock import Clock, GridClock, UniformClock, clock_of, intervals, outputs, refuse_times
 from lieint_jax.runs._storage.storage import StoreOptions
@@ -24,43 +25,7 @@ from lieint_jax.types import PhaseSpace, State, Step, callable_pytree, checked_s
 from lieint_jax.types.members import member_axis
 
 _ENTRY, _SERIES = 2 * 8, 5 * 8  # bytes of an entry's time and node, and of its numbers in the series of `reduce`
-BLOCK = 2**16  # members whose states are made in one call
 _SCALARS = ("t", "work")  # the leaves of states that are scalars for each member, or one scalar for all
-
-
-class MadeStates:
-    """The initial states of a run as a function.
-
-    Attributes:
-        function: member numbers (m,) ↦ states, with the leading axis (m,) on every leaf but scalars t and work.
-        members: the number of members of the run.
-    """
-
-    def __init__(self, function: MakeStates, members: int) -> None:
-        self.function, self.members = function, members
-        self._last: tuple[int, State] | None = None  # the block that was made last, and where it begins
-
-    def make(self, members: range) -> State:
-        """The initial states of consecutive members, as host arrays.
-
-        The function is called for whole blocks of the run, whichever of their members are needed: the last bits of
-        compiled code may depend on the length of an array and on the place in it. So a member is the same in every
-        part.
-
-        Raises:
-            ValueError: the function returns no states, those of another number of members, or of changing shapes.
-        """
-        found, first = None, members.start // BLOCK * BLOCK
-        for start in range(first, members.stop, BLOCK):
-            if self._last is None or self._last[0] != start:
-                numbers = np.arange(start, min(start + BLOCK, self.members))
-                self._last = start, _checked(self.function(numbers), len(numbers))
-            made = self._last[1]
-            if found is None:
-                found = jax.tree.map(lambda x: np.empty((len(members), *x.shape[1:]), x.dtype) if x.ndim else x, made)
-            _fill(found, made, members, start)
-        assert found is not None
-        return found
 
 
 def is_batch(step: Step, states: State, own_step: bool) -> bool:
@@ -114,7 +79,7 @@ def make_jobs(
 
         t0: Any = repeat(first.t0) if first.own_times else first.t0  # pyright: ignore
         states = jax.tree.map(repeat, first.states)
-        whole = first._replace(step=own_step, states=states, t0=t0, make_states=made.function)
+        whole = first._replace(step=own_step, states=states, t0=t0, make_states=made)
     else:
         whole = _make_members(step, made, range(made.members), options)
     if part is None:
@@ -348,46 +313,3 @@ def _check_result(reduction: Reduction, _: tuple[()], arguments: tuple[Step, Sta
 def _python_name(name: str) -> str:
     """The name of an array of the states, as written in Python."""
     return f'extra["{name.removeprefix("extra.")}"]' if name.startswith("extra.") else name
-
-
-def made_states(states: State | MakeStates, members: int | None) -> MadeStates | None:
-    """The function of the initial states and its number of members, checked; None if `states` are arrays."""
-    if not callable(states):
-        if members is not None:
-            raise ValueError("members is the number of members where states is a function; arrays have their own")
-        return None
-    if members is None:
-        raise ValueError("states is a function of member numbers: give their number, members=N")
-    return MadeStates(states, _checks.count("members", members, 1))
-
-
-def _checked(states: object, number: int) -> State:
-    """The result of a call of the function, as host arrays."""
-    if not isinstance(states, State):
-        raise ValueError(
-            f"states must return a State for an array of member numbers, such as jax.vmap(…) makes, got "
-            f"{type(states).__name__}"
-        )
-    found: Any = jax.tree.map(np.asarray, states)
-    leaves = [x for name, x in found._asdict().items() if not (name in ("t", "work") and np.ndim(x) == 0)]
-    lengths = {x.shape[:1] for x in jax.tree.leaves(leaves)}
-    if lengths != {(number,)}:
-        given = ", ".join(str(x.shape) for x in jax.tree.leaves(leaves))
-        raise ValueError(f"states must return the states of {number} member(s) for as many numbers, got shapes {given}")
-    return found
-
-
-def _fill(found: State, made: State, members: range, start: int) -> None:
-    """Copy those of the states of a block, which begins at the member `start`, that belong to `members`."""
-    structures = {jax.tree.structure(x) for x in (found, made)}
-    shapes = [[(x.shape[1:], x.ndim, x.dtype) for x in jax.tree.leaves(states)] for states in (found, made)]
-    if len(structures) > 1 or shapes[0] != shapes[1]:
-        raise ValueError(f"states must return arrays of the same shapes for all members, which changes at {start}")
-    for target, x in zip(jax.tree.leaves(found), jax.tree.leaves(made), strict=True):
-        if not x.ndim:
-            if target != x:
-                raise ValueError(f"states must return one scalar t and work for all members, got {target} and {x}")
-            continue
-        own = x[max(members.start - start, 0) : members.stop - start]
-        begin = max(start - members.start, 0)
-        target[begin : begin + len(own)] = own

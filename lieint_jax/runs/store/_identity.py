@@ -8,67 +8,59 @@ import os
 import platform
 import re
 import warnings
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from pathlib import Path
 
 import jax
 import numpy as np
 from jax.sharding import Mesh
-from jax.typing import ArrayLike
 
 from lieint_jax.runs._job import devices
+from lieint_jax.runs._job.digests import digest_of_arrays, digest_of_states, reason_of
+from lieint_jax.runs._job.engine import Engine
 from lieint_jax.runs._job.facts import package_versions
 from lieint_jax.runs._job.job import Job
 from lieint_jax.runs._job.loop import compiler_options
 from lieint_jax.runs._march.clock import GridClock
 from lieint_jax.runs._storage.leaves import Table
 from lieint_jax.runs._storage.storage import Address
-from lieint_jax.runs.store._digest import NotDigestible, digest, python_of
 from lieint_jax.runs.store._root import FORMAT
-from lieint_jax.types import State, leaves_by_name
 
 _MACHINE = ("device", "engine", "compiler_options", "XLA_FLAGS")  # keys of a description, besides the versions
-_NO_DIGEST = "cannot be compared: "  # begins the reason that stands in place of a digest in a description
-_ADVICE = (
-    "pass the function's data in a jax.tree_util.Partial, or make it a callable pytree, whose numbers are compared one "
-    "by one"
-)
+_EQUATIONS = ("equations of the step", "equations of reduce", "equations of first", "states that the function makes")
+_DIGESTS = (*_EQUATIONS, "numbers of the step", "initial states", "times of the steps", "times of save_at")
 
 
-def description(job: Job, engine: str, scenario: object = None) -> Table:
+def description(job: Job, engine: Engine, scenario: object = None) -> Table:
     """Everything that the bits of a run depend on, as read back from JSON. A run is resumed only if all of it is equal.
 
     Args:
         job: the run.
-        engine: the name of the engine that computes it, "native" (machine code), "kernel" (of a GPU) or "xla".
+        engine: computes it, or one of its parts.
         scenario: the table that the run was made from, or None.
     """
-    leaves, structure = jax.tree.flatten(job.step)
     flags = [f for f in os.environ.get("XLA_FLAGS", "").split() if "force_host_platform_device_count" not in f]
-    python = python_of(structure, job.reduction, job.condition, job.make_states)
     described = {
         "scheme": job.step.name,
         "system": type(job.step.system).__name__,
-        "functions and options of the step": _digest_or_reason(structure),
-        "numbers of the step": _digest_of_arrays(*leaves),
+        **engine.equations,
+        "numbers of the step": digest_of_arrays(*jax.tree.leaves(job.step)),
         "initial states": digest_of_states(job.initial) if job.make_states is None else None,
-        "function of states": _digest_or_reason(job.make_states),
+        "states that the function makes": None if job.make_states is None else job.make_states.digest(),
         "members": job.members,
         "dt": job.dt,
         "num_steps": job.planned_steps,
         "save_every": job.save_every,
-        "times": _digest_of_arrays(job.clock.times) if isinstance(job.clock, GridClock) else None,
-        "save_at": None if job.rests is None else _digest_of_arrays(job.times),
+        "times of the steps": digest_of_arrays(job.clock.times) if isinstance(job.clock, GridClock) else None,
+        "times of save_at": None if job.rests is None else digest_of_arrays(job.times),
         "step_axis": job.step_axis,
         "reduce": getattr(job.reduction, "__name__", "a function") if job.reduction is not None else None,
-        "function of reduce": _digest_or_reason(job.reduction),
         "per": "member" if job.per_member else None,
-        "function of first": _digest_or_reason(job.condition),
         "epoch": job.epoch or None,
         "dtype": str(job.dtype),
-        "versions": package_versions() | ({} if python is None else {"python": python}),
-        "engine": engine,
-        "compiler_options": compiler_options() if engine == "xla" else {},
+        "versions": package_versions(),
+        "engine": engine.name,
+        "compiler_options": compiler_options() if engine.name == "xla" else {},
         "XLA_FLAGS": " ".join(flags),
         "device": device(),
         "scenario": scenario,
@@ -113,33 +105,43 @@ def check_same(path: Address, stored: Table, now: Table, same_bits: bool = True)
             f"{path} was written by an older version of lieint_jax, whose runs this one cannot continue bit for bit: "
             "`lieint info` and `lieint plot` read its results; run again into another store"
         )
-    for key, reason in _not_comparable(now).items():
-        raise ValueError(f"{path} cannot be resumed: the {key} {reason}; {_ADVICE}")
     run = stored["run"]
-    different = differences(run, now)
-    if different and different == differences(machine_of(run), machine_of(now)):
-        if same_bits:
-            raise ValueError(
-                f"{path} is resumed on another machine, whose last bits may differ: {'; '.join(different)}. Pass "
-                "same_bits=False (--any-machine) to accept this"
-            )
-    elif different:
+    for key, reason in (_not_comparable(run) | _not_comparable(now)).items():
+        raise ValueError(f"{path} can neither be resumed nor be written in parts: the {key} {reason}")
+    versions, equations, machine = (_differences_in(keys, run, now) for keys in (["versions"], _EQUATIONS, _MACHINE))
+    others = _differences_in((run.keys() | now.keys()) - {"versions", *_EQUATIONS, *_MACHINE}, run, now)
+    other_release = run["versions"].get("lieint_jax") != now["versions"]["lieint_jax"]
+    if others or other_release or (equations and not versions):
+        different = [*versions, *([] if versions else equations), *machine, *others]
         raise ValueError(f"{path} holds another run and cannot be resumed by this one: {'; '.join(different)}")
+    if equations:
+        raise ValueError(
+            f"{path} was begun with other packages, which may trace one function into different equations, so that it "
+            f"cannot be seen whether this is the same run: {'; '.join([*versions, *equations])}. Resume it with those "
+            "packages, or run again into another store"
+        )
+    if (versions or machine) and same_bits:
+        raise ValueError(
+            f"{path} is resumed on another machine, whose last bits may differ: {'; '.join([*versions, *machine])}. "
+            "Pass same_bits=False (--any-machine) to accept this"
+        )
 
 
 def warn_of_no_resume(described: Table) -> None:
-    """Warn at the start of a run that cannot be resumed, because something that it depends on has no digest."""
+    """Warn at the start of a run that cannot be resumed, because something that it depends on cannot be compared."""
     for key, reason in _not_comparable(described).items():
-        warnings.warn(f"this run cannot be resumed: the {key} {reason}; {_ADVICE}", RuntimeWarning, stacklevel=5)
+        warnings.warn(f"this run cannot be resumed: the {key} {reason}", RuntimeWarning, stacklevel=5)
 
 
 def differences(stored: Mapping[str, object], now: Mapping[str, object], prefix: str = "") -> list[str]:
-    """The differences between two descriptions of a run, one line for each key."""
+    """The differences between two descriptions of a run, one line for each key, of digests without their value."""
     lines = []
     for key in sorted(stored.keys() | now.keys()):
         a, b = stored.get(key), now.get(key)
         if isinstance(a, Mapping) and isinstance(b, Mapping):
             lines += differences(a, b, f"{prefix}{key}.")
+        elif a != b and key in _DIGESTS:
+            lines.append(f"the {key} differ")
         elif a != b:
             lines.append(f"{prefix}{key} is {a!r} in the store and {b!r} here")
     return lines
@@ -158,28 +160,10 @@ def device() -> str:
     return " ".join([platform.machine(), *found[:1]])
 
 
+def _differences_in(keys: Collection[str], stored: Table, now: Table) -> list[str]:
+    a, b = ({key: described.get(key) for key in keys} for described in (stored, now))
+    return differences(a, b)
+
+
 def _not_comparable(described: Table) -> dict[str, str]:
-    return {key: x for key, x in described.items() if isinstance(x, str) and x.startswith(_NO_DIGEST)}
-
-
-def _digest_or_reason(value: object) -> str | None:
-    """The digest of a value, or the reason why it has none; None of None."""
-    try:
-        return None if value is None else digest(value)
-    except NotDigestible as reason:
-        return f"{_NO_DIGEST}{reason}"
-
-
-def digest_of_states(states: State) -> str:
-    """The digest of the arrays of states: q and p first, then each optional array after its name."""
-    q, p, *rest = leaves_by_name(states).items()
-    return _digest_of_arrays(q[1], p[1], *(part for name, x in rest for part in (name.encode(), x)))
-
-
-def _digest_of_arrays(*leaves: ArrayLike | bytes) -> str:
-    found = hashlib.sha256()
-    for leaf in leaves:
-        array = np.frombuffer(leaf, np.uint8) if isinstance(leaf, bytes) else np.asarray(leaf)
-        found.update(f"{array.dtype}{array.shape}".encode())
-        found.update(np.ascontiguousarray(array).reshape(-1).view(np.uint8).data)
-    return found.hexdigest()[:16]
+    return {key: reason_of(described.get(key)) for key in _EQUATIONS if reason_of(described.get(key))}

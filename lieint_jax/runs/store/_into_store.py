@@ -11,7 +11,9 @@ from jax.sharding import Mesh
 
 from lieint_jax.runs._job import devices
 from lieint_jax.runs._job.devices import Layout
+from lieint_jax.runs._job.digests import digest_of_states
 from lieint_jax.runs._job.dyadic_sum import blocks
+from lieint_jax.runs._job.engine import Engine
 from lieint_jax.runs._job.job import Job
 from lieint_jax.runs._job.make_job import split_into_parts
 from lieint_jax.runs._job.split import Split
@@ -30,7 +32,7 @@ from lieint_jax.runs.store._writer import Writer, join, skeleton
 
 def run_into_store(
     job: Job,
-    engine: str,
+    engine: Engine,
     options: StoreOptions,
     integrate: Callable[[Layout, StoreOutput], object],
     *,
@@ -47,7 +49,7 @@ def run_into_store(
 
     Args:
         job: that of the part.
-        engine: the name of its engine.
+        engine: computes it.
         options: the store.
         integrate: fills an output.
         whole: the job of all members.
@@ -79,7 +81,7 @@ def run_into_store(
         together(lambda: stack.enter_context(root.storage.lock(root.folder(k), leader)))
         if in_parts:
             join(root, first_files())
-        initial, machine = _identity.digest_of_states(job.initial), _identity.machine_of(described)
+        initial, machine = digest_of_states(job.initial), _identity.machine_of(described)
         writer = together(
             lambda: stack.enter_context(contextlib.closing(Writer(root, k, leader, initial, machine, same_bits)))
         )

@@ -40,7 +40,7 @@ from lieint_jax.runs._storage.leaves import Table
 from lieint_jax.runs._storage.storage import Storage
 from lieint_jax.runs._storage.untrusted import parse_json
 
-FORMAT = 6  # the format number of new stores; 0.2 wrote 2, and 0.3.0 wrote 3, or 4 in parts
+FORMAT = 7  # the format number of new stores; 0.2 wrote 2, 0.3.0 wrote 3, or 4 in parts, and 0.4.0 wrote 6
 ROOT = "zarr.json"  # the metadata of a Zarr 3 group
 ROWS, ENDS = "checksums of rows", "checksums of the end"  # arrays of a state
 CARRY = "checkpoint/"  # begins the names of its other arrays
