@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-import collections
 import functools
 import itertools
-from collections.abc import Callable, Sequence
-from typing import Any, NamedTuple, TypeVar, cast
+from collections.abc import Callable, Hashable, Sequence
+from typing import Any, NamedTuple, TypeVar
 
 import jax
 import numpy as np
@@ -16,6 +15,7 @@ from jax.extend.core import ClosedJaxpr, JaxprEqn
 from jax.typing import ArrayLike
 
 from lieint_jax._checks import dtype_of
+from lieint_jax._reads import Kept
 from lieint_jax.native._primitives.abstract_walk import (
     LARGEST,
     Rows,
@@ -197,33 +197,39 @@ def _dtype(x: ArrayLike | jax.ShapeDtypeStruct) -> np.dtype:
     return dtype if jax.numpy.issubdtype(dtype, jax.dtypes.extended) else jax.dtypes.canonicalize_dtype(dtype)
 
 
-_MOST_KEPT = 12  # of what is made once; each holds a jaxpr or a program of numbers, some MiB
-_cache: collections.OrderedDict[tuple[object, ...], object] = collections.OrderedDict()
+_MOST_KEPT = 12  # of each kind that is made once; each holds a jaxpr or a program of numbers, some MiB
+_kept: dict[object, Kept] = {}
 
 
 def make_once(
-    kind: Callable[..., _Compiled], function: object, kinds: Sequence[Tree], examples: Sequence[Tree]
+    kind: Callable[..., _Compiled],
+    function: object,
+    kinds: Sequence[Tree],
+    examples: Sequence[Tree],
+    read: Hashable = (),
 ) -> _Compiled:
     """`kind(function, kinds, examples)`, made once for all arguments of the same shapes; failures are stored too.
 
     Those of each kind used last are kept, so that a session that makes ever new functions does not fill the memory.
+
+    Args:
+        kind, function, kinds, examples: see above.
+        read: the key of what the function reads; None if it is to be made in each call.
 
     Raises:
         UnsupportedError: see `Traced`.
     """
     leaves, structure = jax.tree.flatten(tuple(examples))
     shapes = tuple((np.shape(x), _dtype(x)) for x in leaves)
-    key = kind, function, tuple(jax.tree.leaves(tuple(kinds))), jax.tree.structure(tuple(kinds)), structure, shapes
-    if key not in _cache:
+    key = function, tuple(jax.tree.leaves(tuple(kinds))), jax.tree.structure(tuple(kinds)), structure, shapes, read
+
+    def make() -> _Compiled | UnsupportedError:
         try:
-            _cache[key] = kind(function, kinds, examples)
+            return kind(function, kinds, examples)
         except UnsupportedError as reason:
-            _cache[key] = reason
-    found = _cache[key]
-    _cache.move_to_end(key)
-    alike = [key for key in _cache if key[0] is kind]
-    for old in alike[: max(0, len(alike) - _MOST_KEPT)]:
-        del _cache[old]
+            return reason
+
+    found = _kept.setdefault(kind, Kept(_MOST_KEPT)).get(None if read is None else key, make)
     if isinstance(found, UnsupportedError):
         raise found
-    return cast("_Compiled", found)
+    return found

@@ -15,6 +15,7 @@ import numpy as np
 from jax.sharding import Mesh
 
 from lieint_jax import native
+from lieint_jax._reads import reads
 from lieint_jax.native import UnsupportedError, computed_by, unsupported_if_it_fails, warn_once
 from lieint_jax.runs._job import devices, loop
 from lieint_jax.runs._job.devices import Layout, Numbers, Tree
@@ -74,7 +75,9 @@ class Engine:
         t0 = job.t0 if of_time is None else jax.tree.map(_member_shape, job.t0)
         rests = None if job.rests is None else job.rests[:0]  # their number makes no difference
         examples = step, jax.tree.map(_member_shape, job.states), t0, job.clock, rests
-        self._loop = native.make_once(MemberLoop, (job.reduction, job.condition), self._axes, examples)
+        what = job.reduction, job.condition
+        read = reads(*what, jax.tree.structure(examples))
+        self._loop = native.make_once(MemberLoop, what, self._axes, examples, read)
         self.refusal, self.most_steps = "", 2**30
         if name != "xla" and job.num_steps:
             known = self._loop.known
