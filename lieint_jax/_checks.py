@@ -22,6 +22,8 @@ from jax import Array
 from jax.core import Tracer
 from jax.typing import ArrayLike, DTypeLike
 
+from lieint_jax._reads import shapes_now
+
 try:
     from jax.extend.core import take_current_trace
 except ImportError:  # another JAX
@@ -249,7 +251,7 @@ def function(name: str, given: Callable[..., object], of: str, shape: tuple[int,
     """
     wanted = f"an array of real numbers of shape {shape}" if shape else "a real scalar"
     try:
-        value = jax.eval_shape(given, *arguments)
+        value = shapes_now(given, *arguments)
     except Exception as error:  # a user's function may raise anything
         reason = f"{type(error).__name__}: {error}".partition("\n")[0]
         raise ValueError(

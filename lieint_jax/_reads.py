@@ -68,18 +68,18 @@ def reads(*values: object) -> Reads | None:
 
 
 class Kept:
-    """What was made for the `most` keys used last. Threads may share it.
+    """What was made, for the keys used last. Threads may share it.
 
     Two threads that miss a key at once both make its value, and both get that of the first: a value may need another
     one, so nothing is made under the lock.
     """
 
-    def __init__(self, most: int):
-        self._most, self._lock = most, threading.Lock()
+    def __init__(self) -> None:
+        self._lock = threading.Lock()
         self._made: collections.OrderedDict[Hashable, Any] = collections.OrderedDict()
 
-    def get(self, key: Hashable, make: Callable[[], _Made]) -> _Made:
-        """The value of a key, made where there is none; made for this call alone if the key is None."""
+    def get(self, key: Hashable, make: Callable[[], _Made], most: int) -> _Made:
+        """The value of a key, one of the `most` that are kept; it is made for this call alone if the key is None."""
         if key is None:
             return make()
         with self._lock:
@@ -89,7 +89,7 @@ class Kept:
         made = make()
         with self._lock:
             made = self._made.setdefault(key, made)
-            while len(self._made) > self._most:
+            while len(self._made) > most:
                 self._made.popitem(last=False)
         return made
 
@@ -101,7 +101,7 @@ def remembered(most: int) -> Callable[[_Function], _Function]:
     """
 
     def decorate(function: _Function) -> _Function:
-        kept = Kept(most)
+        kept = Kept()
 
         @functools.wraps(function)
         def call(*arguments: Any) -> Any:
@@ -111,26 +111,23 @@ def remembered(most: int) -> Callable[[_Function], _Function]:
                 hash(key)
             except TypeError:
                 key = None
-            return kept.get(key, lambda: function(*arguments))
+            return kept.get(key, lambda: function(*arguments), most)
 
         return cast("_Function", call)
 
     return decorate
 
 
-def rereading_jit(
-    function: _Function, static_argnums: int | Sequence[int] = (), most: int = _MOST_KEPT, **options: Any
-) -> _Function:
+def rereading_jit(function: _Function, static_argnums: int | Sequence[int] = (), **options: Any) -> _Function:
     """`jax.jit` of a function of this package, traced again where functions in its arguments read other values.
 
     The programs used last are kept: a user's new functions are new structures, and JAX would keep the programs of all.
 
     Args:
         function, static_argnums, options: as in `jax.jit`.
-        most: the number of programs.
     """
     static = (static_argnums,) if isinstance(static_argnums, int) else tuple(static_argnums)
-    kept = Kept(most)
+    kept = Kept()
 
     @functools.wraps(function)
     def call(*arguments: Any, **named: Any) -> Any:
@@ -143,9 +140,14 @@ def rereading_jit(
         def make() -> Any:
             return jax.jit(functools.wraps(function)(_with_fixed(function, fixed)), **options)
 
-        return kept.get(key, make)(*given, **named)
+        return kept.get(key, make, _MOST_KEPT)(*given, **named)
 
     return cast("_Function", call)
+
+
+def shapes_now(function: Callable[..., Any], *arguments: Any) -> Any:
+    """`jax.eval_shape` of a function as it is now; JAX would return what it has found for the function before."""
+    return jax.eval_shape(lambda *given: function(*given), *arguments)
 
 
 def _with_fixed(function: Callable[..., Any], fixed: dict[int, object]) -> Callable[..., Any]:

@@ -24,6 +24,7 @@ from numpy.typing import ArrayLike
 
 from lieint_jax import _checks
 from lieint_jax._checks import concrete
+from lieint_jax._reads import shapes_now
 from lieint_jax._xla import compiled
 from lieint_jax.capabilities import AbstractDrivenTop, AbstractRigidBodies
 from lieint_jax.groups import so3
@@ -145,7 +146,7 @@ def _derivatives(system: System, state: State, frame: Array, spins: Spins | None
         return known if spins is None else jnp.concatenate([known, spins.momentum(moved)])
 
     zero = jnp.zeros(space.dim, state.p.dtype)
-    k = jax.eval_shape(momentum, zero).size
+    k = shapes_now(momentum, zero).size
     first, second = jax.grad(energy), jax.jacfwd(jax.grad(energy))
     if not k:
         along, along2 = jnp.zeros((0, space.dim)), jnp.zeros((0, space.dim, space.dim))

@@ -10,6 +10,7 @@ import jax.numpy as jnp
 import numpy as np
 from jax import Array
 
+from lieint_jax._reads import rereading_jit
 from lieint_jax.diagnostics._series import energy_error
 from lieint_jax.diagnostics._symplectic import symplectic_defect
 from lieint_jax.groups import MatrixGroup
@@ -75,7 +76,7 @@ def group_conservation(group: MatrixGroup, tau: Map, metrics: int = 4) -> GroupC
     return GroupConservation(energy, momentum, form, bool(np.all(converged)))
 
 
-@partial(jax.jit, static_argnums=(0, 1, 2), compiler_options=_QUICK)
+@partial(rereading_jit, static_argnums=(0, 1, 2), compiler_options=_QUICK)
 def _measure_metric(tau: Map, dt: float, steps: int, system: Euler, state: State) -> tuple[Array, ...]:
     """Energy error, largest ‖Ad_q‖, change of momentum, symplectic defect and convergence, with one metric."""
     step = group_midpoint(system, tau)

@@ -198,7 +198,7 @@ def _dtype(x: ArrayLike | jax.ShapeDtypeStruct) -> np.dtype:
 
 
 _MOST_KEPT = 12  # of each kind that is made once; each holds a jaxpr or a program of numbers, some MiB
-_kept: dict[object, Kept] = {}
+_cache: dict[object, Kept] = {}
 
 
 def make_once(
@@ -229,7 +229,7 @@ def make_once(
         except UnsupportedError as reason:
             return reason
 
-    found = _kept.setdefault(kind, Kept(_MOST_KEPT)).get(None if read is None else key, make)
+    found = _cache.setdefault(kind, Kept()).get(None if read is None else key, make, _MOST_KEPT)
     if isinstance(found, UnsupportedError):
         raise found
     return found

@@ -17,6 +17,7 @@ import pytest
 from jax.experimental.compilation_cache import compilation_cache
 
 import lieint_jax as li
+from lieint_jax import _reads
 from lieint_jax._cache import use_program_cache
 from lieint_jax._xla import _compile
 from lieint_jax.native import _machine, _traced
@@ -278,7 +279,7 @@ def test_derivatives_outside_of_jit_go_through_the_package_s_own_programs():
 
 def test_programs_of_functions_that_are_gone_are_freed(monkeypatch):
     """Each new function of a user kept some MiB for ever: XLA's program of a check, and what was walked."""
-    monkeypatch.setattr(_compile, "_MOST_KEPT", 2)
+    monkeypatch.setattr(_reads, "_MOST_KEPT", 2)
     monkeypatch.setattr(_traced, "_MOST_KEPT", 2)
     monkeypatch.setattr(_traced, "_cache", collections.OrderedDict())
     check = _compile.compiled(lambda function, x: function(x), static_argnums=0, once=True)
@@ -312,7 +313,7 @@ NEW = {  # of each, a system of a new function
 @pytest.mark.long
 @pytest.mark.parametrize("name", NEW)
 def test_checks_of_new_functions_keep_no_programs(monkeypatch, name):
-    monkeypatch.setattr(_compile, "_MOST_KEPT", 1)
+    monkeypatch.setattr(_reads, "_MOST_KEPT", 1)
     motion = {"positions": np.eye(3)[:2], "velocities": np.zeros((2, 3))} if name == "gravity" else {}
     turn = {"angular_velocities": np.eye(3)[:2]} if name == "gravity" else {"angular_velocity": [0.1, 0.2, 0.3]}
     counts = []
@@ -346,7 +347,7 @@ def test_a_potential_s_parameter_may_be_varied():
 @pytest.mark.parametrize("engine", ["integrate", "ensemble"])
 def test_runs_of_new_functions_keep_few_of_them(monkeypatch, engine):
     """Each new function of a user kept some 10 MiB of jaxprs for ever, in caches of JAX and of machine code."""
-    monkeypatch.setattr(_compile, "_MOST_KEPT", 1)
+    monkeypatch.setattr(_reads, "_MOST_KEPT", 1)
     monkeypatch.setattr(_traced, "_cache", collections.OrderedDict())
     kept = []
     for k in range(36):
