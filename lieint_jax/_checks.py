@@ -22,8 +22,6 @@ from jax import Array
 from jax.core import Tracer
 from jax.typing import ArrayLike, DTypeLike
 
-from lieint_jax._reads import shapes_now
-
 try:
     from jax.extend.core import take_current_trace
 except ImportError:  # another JAX
@@ -251,7 +249,7 @@ def function(name: str, given: Callable[..., object], of: str, shape: tuple[int,
     """
     wanted = f"an array of real numbers of shape {shape}" if shape else "a real scalar"
     try:
-        value = shapes_now(given, *arguments)
+        value = jax.eval_shape(lambda *x: given(*x), *arguments)  # JAX would return what it has found before
     except Exception as error:  # a user's function may raise anything
         reason = f"{type(error).__name__}: {error}".partition("\n")[0]
         raise ValueError(

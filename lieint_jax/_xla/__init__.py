@@ -21,6 +21,9 @@ which runs what has no machine code, handles the same equations well with these 
 `differ`, `with_common_axes`, `result_like`, `unchecked`: Inside `jax.shard_map` the types of arrays say between which
     devices they differ. A loop of the package has them, the step that it repeats is traced without.
 
+`reads`, `rereading_jit`, `remembered`, `Kept`, `shapes_now`: Where a user has not written `jit`, a program that is kept
+    for a function is made again when the function reads other values than before.
+
 `compiled` is `jax.jit` with options that halve the compile time of the package's own programs; `jit` is the same for
 those of users.
 """
@@ -35,9 +38,11 @@ from lieint_jax._xla._materialize import (
     unfused,
     with_materialized_derivatives,
 )
+from lieint_jax._xla._reads import Kept, reads, remembered, rereading_jit, shapes_now
 from lieint_jax._xla._varying import differ, result_like, unchecked, with_common_axes
 
 __all__ = [
+    "Kept",
     "compiled",
     "differ",
     "forward_mode",
@@ -45,9 +50,13 @@ __all__ = [
     "jvp_of_varied",
     "materialized",
     "materialized_arrays",
+    "reads",
     "rematerialized",
+    "remembered",
+    "rereading_jit",
     "result_like",
     "saved",
+    "shapes_now",
     "unchecked",
     "unfused",
     "with_common_axes",

@@ -9,7 +9,7 @@ from typing import Any, TypeVar, cast
 import jax
 
 from lieint_jax._checks import outermost
-from lieint_jax._reads import rereading_jit
+from lieint_jax._xla._reads import rereading_jit
 
 Tree = Any  # a tree of arrays
 _Function = TypeVar("_Function", bound=Callable[..., Tree])

@@ -15,8 +15,7 @@ from jax import Array
 from jax.typing import ArrayLike
 
 from lieint_jax import _checks
-from lieint_jax._reads import shapes_now
-from lieint_jax._xla import compiled
+from lieint_jax._xla import compiled, shapes_now
 from lieint_jax.diagnostics import _measure
 from lieint_jax.diagnostics._order import fitted_order, reversibility_of_run
 from lieint_jax.diagnostics._symplectic import dimensionless_defect

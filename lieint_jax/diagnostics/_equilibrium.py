@@ -24,8 +24,7 @@ from numpy.typing import ArrayLike
 
 from lieint_jax import _checks
 from lieint_jax._checks import concrete
-from lieint_jax._reads import shapes_now
-from lieint_jax._xla import compiled
+from lieint_jax._xla import compiled, shapes_now
 from lieint_jax.capabilities import AbstractDrivenTop, AbstractRigidBodies
 from lieint_jax.groups import so3
 from lieint_jax.phase_spaces import CotangentGroup

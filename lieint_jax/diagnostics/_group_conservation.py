@@ -10,7 +10,7 @@ import jax.numpy as jnp
 import numpy as np
 from jax import Array
 
-from lieint_jax._reads import rereading_jit
+from lieint_jax._xla import rereading_jit
 from lieint_jax.diagnostics._series import energy_error
 from lieint_jax.diagnostics._symplectic import symplectic_defect
 from lieint_jax.groups import MatrixGroup

@@ -21,7 +21,7 @@ from jax.sharding import Mesh
 from numpy.typing import ArrayLike
 
 from lieint_jax import _checks
-from lieint_jax._reads import remembered
+from lieint_jax._xla import remembered
 from lieint_jax.fitting import _bounds
 from lieint_jax.fitting._box import Box
 from lieint_jax.fitting._descent import descent, lbfgs

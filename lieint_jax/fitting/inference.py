@@ -25,7 +25,7 @@ from jax import Array
 from jax.flatten_util import ravel_pytree
 from jax.typing import ArrayLike
 
-from lieint_jax._reads import rereading_jit, shapes_now
+from lieint_jax._xla import rereading_jit, shapes_now
 from lieint_jax.fitting._bounds import Bound, free, interval
 from lieint_jax.fitting._fit import fit
 from lieint_jax.fitting._outcome import Fit

@@ -12,7 +12,7 @@ from jax import Array
 from jax.custom_derivatives import SymbolicZero
 from jax.typing import ArrayLike
 
-from lieint_jax._reads import rereading_jit
+from lieint_jax._xla import rereading_jit
 from lieint_jax.groups import so3
 from lieint_jax.measure._states import Directions, directions, map_run, rotate, rotation
 from lieint_jax.runs import Run

@@ -18,8 +18,7 @@ from jax.core import ShapedArray, Tracer
 from jax.extend.core import ClosedJaxpr, Primitive, jaxpr_as_fun
 
 from lieint_jax._checks import outermost
-from lieint_jax._reads import remembered
-from lieint_jax._xla import differ, result_like, unchecked, with_common_axes
+from lieint_jax._xla import differ, remembered, result_like, unchecked, with_common_axes
 
 Tree = Any  # a tree of arrays
 AnyArray = Any  # an array, or what stands for one in JAX: a tracer, a shape, a tangent

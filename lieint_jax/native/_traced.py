@@ -15,7 +15,7 @@ from jax.extend.core import ClosedJaxpr, JaxprEqn
 from jax.typing import ArrayLike
 
 from lieint_jax._checks import dtype_of
-from lieint_jax._reads import Kept
+from lieint_jax._xla import Kept
 from lieint_jax.native._primitives.abstract_walk import (
     LARGEST,
     Rows,

@@ -13,7 +13,7 @@ import numpy as np
 from jax import Array
 from jax.typing import ArrayLike
 
-from lieint_jax._reads import rereading_jit
+from lieint_jax._xla import rereading_jit
 from lieint_jax.types import pytree, static
 
 __all__ = ["SharedFrame", "SharedFunction", "shared"]

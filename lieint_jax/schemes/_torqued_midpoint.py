@@ -26,7 +26,7 @@ from jax import Array
 from jax.typing import ArrayLike
 
 from lieint_jax import _checks
-from lieint_jax._reads import shapes_now
+from lieint_jax._xla import shapes_now
 from lieint_jax.capabilities import AbstractDampedBody, AbstractTorquedBody, AbstractTorquedBodyInTime
 from lieint_jax.groups import so3
 from lieint_jax.maps import KAPPAS, Kappa, as_kappa, kappa_cayley

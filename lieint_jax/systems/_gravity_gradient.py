@@ -9,7 +9,7 @@ from jax import Array
 
 from lieint_jax import _checks
 from lieint_jax._checks import concrete, named
-from lieint_jax._reads import shapes_now
+from lieint_jax._xla import shapes_now
 from lieint_jax.groups import so3
 from lieint_jax.orbits import kepler
 from lieint_jax.systems._catalogue import SystemProperties

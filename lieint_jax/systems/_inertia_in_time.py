@@ -14,7 +14,7 @@ from jax.tree_util import Partial
 from numpy.typing import ArrayLike
 
 from lieint_jax import _checks
-from lieint_jax._reads import shapes_now
+from lieint_jax._xla import shapes_now
 from lieint_jax.capabilities import AbstractBodyInTime, AbstractFreeBodyInTime, AbstractTorquedBodyInTime
 from lieint_jax.groups import so3
 from lieint_jax.systems._catalogue import SystemProperties

@@ -11,7 +11,7 @@ import numpy as np
 from jax import Array, lax
 from jax.tree_util import PyTreeDef
 
-from lieint_jax._reads import remembered
+from lieint_jax._xla import remembered
 from lieint_jax.types.shapes import PyTree
 
 Axis = int | Literal["auto"] | None

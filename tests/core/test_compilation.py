@@ -17,9 +17,8 @@ import pytest
 from jax.experimental.compilation_cache import compilation_cache
 
 import lieint_jax as li
-from lieint_jax import _reads
 from lieint_jax._cache import use_program_cache
-from lieint_jax._xla import _compile
+from lieint_jax._xla import _compile, _reads
 from lieint_jax.native import _machine, _traced
 from lieint_jax.runs._job import loop as _loop
 

@@ -47,7 +47,6 @@ FLOORS = [  # from the roof down; a module imports only from floors below its ow
     ("_xla",),
     ("_text",),
     ("_checks", "_deprecated", "_discover", "_version", "dates"),
-    ("_reads",),
 ]
 LEVEL = {name: level for level, floor in enumerate(FLOORS) for name in floor}
 CORE = {"jax", "numpy"}  # and the standard library: all that the numerical core needs, everything below `runs`

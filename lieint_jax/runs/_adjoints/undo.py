@@ -25,8 +25,7 @@ from jax import Array, lax
 from jax.typing import ArrayLike
 
 from lieint_jax import native
-from lieint_jax._reads import rereading_jit
-from lieint_jax._xla import compiled, with_common_axes
+from lieint_jax._xla import compiled, rereading_jit, with_common_axes
 from lieint_jax.runs._march.clock import Clock, uniform_clock
 from lieint_jax.runs._march.driver import Reached, at_start, counted, reported
 from lieint_jax.schemes import Composition

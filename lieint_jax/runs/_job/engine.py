@@ -15,7 +15,7 @@ import numpy as np
 from jax.sharding import Mesh
 
 from lieint_jax import native
-from lieint_jax._reads import reads
+from lieint_jax._xla import reads
 from lieint_jax.native import UnsupportedError, computed_by, unsupported_if_it_fails, warn_once
 from lieint_jax.runs._job import devices, loop
 from lieint_jax.runs._job.devices import Layout, Numbers, Tree

@@ -13,8 +13,8 @@ from jax import Array
 
 from lieint_jax import dates
 from lieint_jax._checks import concrete
-from lieint_jax._reads import remembered, rereading_jit
 from lieint_jax._version import __version__
+from lieint_jax._xla import remembered, rereading_jit
 from lieint_jax.runs._job.job import Job, MemberSummary, list_members
 from lieint_jax.runs._storage.leaves import Table
 from lieint_jax.types import State, Step, Trajectory, leaves_by_name, periods_of

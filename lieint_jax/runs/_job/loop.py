@@ -14,8 +14,7 @@ from jax.extend.core import jaxpr_as_fun
 from jax.typing import ArrayLike
 
 from lieint_jax import native
-from lieint_jax._reads import remembered, rereading_jit
-from lieint_jax._xla import compiled
+from lieint_jax._xla import compiled, remembered, rereading_jit
 from lieint_jax.runs._job.devices import Numbers, Tree, on_host
 from lieint_jax.runs._march.clock import Clock, GridClock, UniformClock
 from lieint_jax.runs._march.driver import prepared

@@ -14,7 +14,7 @@ from jax import Array
 from numpy.typing import ArrayLike
 
 from lieint_jax import _checks
-from lieint_jax._reads import reads, rereading_jit
+from lieint_jax._xla import reads, rereading_jit
 from lieint_jax.native import make_once
 from lieint_jax.runs._job import devices
 from lieint_jax.runs._job.job import Job, MakeStates, chunk_members, list_members

@@ -27,9 +27,10 @@ import numpy as np
 from jax.extend.core import ClosedJaxpr, Jaxpr, Primitive
 from jax.tree_util import PyTreeDef
 
+Value = Any  # what a function of a user's may hold, and what is made of it
 _log = logging.getLogger(__name__)
 _Made = TypeVar("_Made")
-_Function = TypeVar("_Function", bound=Callable[..., Any])
+_Function = TypeVar("_Function", bound=Callable[..., Value])
 _MOST_KEPT = 24  # programs of a function; each has some MiB
 
 
@@ -76,7 +77,7 @@ class Kept:
 
     def __init__(self) -> None:
         self._lock = threading.Lock()
-        self._made: collections.OrderedDict[Hashable, Any] = collections.OrderedDict()
+        self._made: collections.OrderedDict[Hashable, Value] = collections.OrderedDict()
 
     def get(self, key: Hashable, make: Callable[[], _Made], most: int) -> _Made:
         """The value of a key, one of the `most` that are kept; it is made for this call alone if the key is None."""
@@ -104,7 +105,7 @@ def remembered(most: int) -> Callable[[_Function], _Function]:
         kept = Kept()
 
         @functools.wraps(function)
-        def call(*arguments: Any) -> Any:
+        def call(*arguments: Value) -> Value:
             found = reads(*arguments)
             key = None if found is None else (arguments, found)
             try:
@@ -118,7 +119,7 @@ def remembered(most: int) -> Callable[[_Function], _Function]:
     return decorate
 
 
-def rereading_jit(function: _Function, static_argnums: int | Sequence[int] = (), **options: Any) -> _Function:
+def rereading_jit(function: _Function, static_argnums: int | Sequence[int] = (), **options: Value) -> _Function:
     """`jax.jit` of a function of this package, traced again where functions in its arguments read other values.
 
     The programs used last are kept: a user's new functions are new structures, and JAX would keep the programs of all.
@@ -130,14 +131,14 @@ def rereading_jit(function: _Function, static_argnums: int | Sequence[int] = (),
     kept = Kept()
 
     @functools.wraps(function)
-    def call(*arguments: Any, **named: Any) -> Any:
+    def call(*arguments: Value, **named: Value) -> Value:
         fixed = {k: x for k, x in enumerate(arguments) if k in static}
         given = [x for k, x in enumerate(arguments) if k not in fixed]
         structure = jax.tree.structure((given, named))
         found = reads(*fixed.values(), structure)
         key = None if found is None else (tuple(fixed.items()), found)
 
-        def make() -> Any:
+        def make() -> Value:
             return jax.jit(functools.wraps(function)(_with_fixed(function, fixed)), **options)
 
         return kept.get(key, make, _MOST_KEPT)(*given, **named)
@@ -145,15 +146,15 @@ def rereading_jit(function: _Function, static_argnums: int | Sequence[int] = (),
     return cast("_Function", call)
 
 
-def shapes_now(function: Callable[..., Any], *arguments: Any) -> Any:
+def shapes_now(function: Callable[..., Value], *arguments: Value) -> Value:
     """`jax.eval_shape` of a function as it is now; JAX would return what it has found for the function before."""
     return jax.eval_shape(lambda *given: function(*given), *arguments)
 
 
-def _with_fixed(function: Callable[..., Any], fixed: dict[int, object]) -> Callable[..., Any]:
+def _with_fixed(function: Callable[..., Value], fixed: dict[int, object]) -> Callable[..., Value]:
     """A function of its other arguments; it is freed with its `jit`, of which JAX would keep static arguments."""
 
-    def of_others(*given: Any, **named: Any) -> Any:
+    def of_others(*given: Value, **named: Value) -> Value:
         rest = iter(given)
         return function(*(fixed[k] if k in fixed else next(rest) for k in range(len(fixed) + len(given))), **named)
 
@@ -252,7 +253,7 @@ def _attributes(instructions: Iterable[dis.Instruction]) -> Iterator[str]:
         yield i.argval
 
 
-_OWN = os.path.dirname(os.path.abspath(__file__)) + os.sep
+_OWN = os.path.dirname(os.path.dirname(os.path.abspath(__file__))) + os.sep
 _PYTHON = os.path.dirname(os.path.abspath(os.__file__)) + os.sep
 _PACKAGES = ("site-packages", "dist-packages")
 
@@ -280,7 +281,7 @@ def _is_installed(module: object) -> bool:
 _installed: dict[int, object] = {}  # classes and other objects that modules of installed packages have by their names
 
 
-def _is_installed_object(x: Any) -> bool:
+def _is_installed_object(x: Value) -> bool:
     """True if an installed package has this object by its name: a class made by `exec` may state any module."""
     if _installed.get(id(x)) is x:
         return True
@@ -335,7 +336,7 @@ class _Reader:
         self._read: list[object] = []  # the objects, of which some are made for this: a freed id would be reused
         self._seen: dict[Hashable, int] = {}  # their ids, and the order in which they were read
 
-    def add(self, x: Any) -> None:
+    def add(self, x: Value) -> None:
         """Read a value."""
         kind = type(x)
         if kind in _PLAIN:
@@ -421,7 +422,7 @@ class _Reader:
                 raise _UnreadableError(f"{x.__name__}.{first}")
             self._variable(found, (tuple(rest),) if rest else None)
 
-    def _imported(self, found: _Import, known: Mapping[str, Any]) -> None:
+    def _imported(self, found: _Import, known: Mapping[str, Value]) -> None:
         """Read what a function imports; a module that is not there yet may be anything."""
         name = importlib.util.resolve_name("." * found.level + found.module, known.get("__package__"))
         if found.names is None:
@@ -439,20 +440,20 @@ class _Reader:
         self.add(x.__func__)
         self.add(x.__self__)
 
-    def builtin(self, x: Any) -> None:
+    def builtin(self, x: Value) -> None:
         """A function in C: one of a module, or a method of an object."""
         if x.__self__ is None or isinstance(x.__self__, types.ModuleType | type):
             return self.identity(x)
         self.parts += ("method", x.__name__)
         return self.add(x.__self__)
 
-    def wrapper(self, x: Any) -> None:
+    def wrapper(self, x: Value) -> None:
         """A function that `jax.jit` or `functools.lru_cache` has made of another."""
         self.identity(x)
         if not _is_installed_object(x):
             self.add(x.__wrapped__)
 
-    def made_of_function(self, x: Any) -> None:
+    def made_of_function(self, x: Value) -> None:
         """A class method, a static method, or a cached property."""
         self._is_fixed = False
         self.parts.append(type(x))
@@ -479,7 +480,7 @@ class _Reader:
                 self.parts.append(name)
                 self.add(value)
 
-    def other(self, x: Any) -> None:
+    def other(self, x: Value) -> None:
         """Any other object: its class, its attributes, and what else a copy of it would be made from."""
         self._is_fixed = False
         kind = type(x)
@@ -498,14 +499,14 @@ class _Reader:
                 return None
         return self._attributes_of(x, slots)
 
-    def _attributes_of(self, x: Any, slots: Sequence[str] = ()) -> None:
+    def _attributes_of(self, x: Value, slots: Sequence[str] = ()) -> None:
         for name, value in getattr(x, "__dict__", {}).items():
             self.parts.append(name)
             self.add(value)
         for name in slots:
             self._variable(getattr(x, name, _MISSING), None)
 
-    def text_or_number(self, x: Any) -> None:
+    def text_or_number(self, x: Value) -> None:
         """An object of a class that inherits one of Python's types of numbers and texts."""
         self.parts.append(next(base.__repr__(x) for base in (int, float, complex, str, bytes) if isinstance(x, base)))
 
@@ -526,7 +527,7 @@ class _Reader:
             self.add(type(x))
             self._attributes_of(x)
 
-    def reference(self, x: weakref.ref[Any]) -> None:
+    def reference(self, x: weakref.ref[Value]) -> None:
         self._is_fixed = False
         self.parts.append("reference")
         self.add(x())
@@ -534,7 +535,7 @@ class _Reader:
     def number(self, x: np.generic) -> None:
         self.parts += (type(x), x.tobytes())
 
-    def sequence(self, x: Any) -> None:
+    def sequence(self, x: Value) -> None:
         """A tuple, a list or a set."""
         self._is_fixed &= type(x) in (tuple, frozenset)
         self.parts += (type(x), len(x))
@@ -544,7 +545,7 @@ class _Reader:
             for part in x:
                 self.add(part)
 
-    def mapping(self, x: dict[Any, Any]) -> None:
+    def mapping(self, x: dict[Value, Value]) -> None:
         self._is_fixed = False
         self.sequence(list(x.keys()))
         self.sequence(list(x.values()))
@@ -592,12 +593,12 @@ def _layout(kind: type) -> tuple[tuple[str, ...], bool]:
 
 _POINTER = 8  # bytes
 
-_CONTENTS: dict[Any, Callable[[_Reader, Any], None]] = {
+_CONTENTS: dict[Value, Callable[[_Reader, Value], None]] = {
     dict: _Reader.mapping,
     **dict.fromkeys((tuple, list, set, frozenset), _Reader.sequence),
     **dict.fromkeys((int, float, complex, str, bytes), _Reader.text_or_number),
 }
-_READERS: dict[type, Callable[[_Reader, Any], None]] = {
+_READERS: dict[type, Callable[[_Reader, Value], None]] = {
     types.FunctionType: _Reader.function,
     types.MethodType: _Reader.method,
     types.ModuleType: _Reader.module,
@@ -624,7 +625,7 @@ _READERS: dict[type, Callable[[_Reader, Any], None]] = {
         _Reader.identity,
     ),
 }
-_KINDS: tuple[tuple[Any, Callable[[_Reader, Any], None]], ...] = (
+_KINDS: tuple[tuple[Value, Callable[[_Reader, Value], None]], ...] = (
     (jax.core.Tracer, _Reader.refuse),
     (np.ndarray, _Reader.array),
     (np.generic, _Reader.number),
@@ -635,7 +636,7 @@ _KINDS: tuple[tuple[Any, Callable[[_Reader, Any], None]], ...] = (
 )
 
 
-def _reader_of(kind: type) -> Callable[[_Reader, Any], None]:
+def _reader_of(kind: type) -> Callable[[_Reader, Value], None]:
     """The method that reads objects of a class."""
     found = next((reader for base, reader in _KINDS if issubclass(kind, base)), _Reader.other)
     if _is_installed_object(kind):
