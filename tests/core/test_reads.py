@@ -1,8 +1,17 @@
 """Outside of `jax.jit` a call means what its functions mean now, whatever they read and however it has changed."""
 
+import concurrent.futures
+import gc
+import inspect
+import itertools
 import sys
+import threading
 import types
+import weakref
 
+import jax
+import jax.numpy as jnp
+import numpy as np
 import pytest
 
 import lieint_jax as li
@@ -187,3 +196,327 @@ def test_what_a_function_reads_is_read_again(script, caplog, way):
     exec(change, script)
     assert [call(), call()] == [2.0, 2.0]
     assert len(caplog.records) == (4 if way in UNREADABLE else 2)
+
+
+# Every public function that accepts one -------------------------------------------------------------------------------
+
+K, ARRAY, HELD = 1.0, np.ones(3), types.SimpleNamespace(k=1.0)
+
+
+def number():
+    """A number that depends on a global, an array and an attribute."""
+    return float(K * ARRAY[1] * HELD.k)
+
+
+def change_global():
+    globals()["K"] = 1.25
+
+
+def change_array():
+    ARRAY[1] = 1.5
+
+
+def change_attribute():
+    HELD.k = 0.75
+
+
+@pytest.fixture
+def changes():
+    """Changes of the number, one after the other."""
+    yield change_global, change_array, change_attribute
+    globals()["K"], ARRAY[1], HELD.k = 1.0, 1.0, 1.0
+
+
+J = [1.0, 2.0, 3.0]
+MOTION = {"attitude": [0.8, 0.6, 0, 0], "angular_velocity": [0.3, 0.2, 1.0]}
+DT = 0.05
+
+
+def driven(k):
+    """A body with a torque of k(), and a state of it."""
+    body = li.systems.torqued_body(J, lambda t, q, omega: -0.1 * k() * jnp.array([1.0, 0, 0]) * omega)
+    return li.schemes.torqued_midpoint(body), body.state(**MOTION)
+
+
+def top(k):
+    """A top in a potential of k(), and a state of it."""
+    body = li.systems.potential_top(J, lambda direction: k() * (direction[2] + direction[0] ** 2))
+    return li.schemes.splitting(body), body.state(**MOTION)
+
+
+def free(_):
+    body = li.systems.rigid_body(J)
+    return li.schemes.so3_midpoint(body), body.state(**MOTION)
+
+
+def two(state):
+    return jax.tree.map(lambda x: jnp.stack([x, x]), state)
+
+
+def of(make, call):
+    """k ↦ a function without arguments, which calls with the step and the state that `make` has made."""
+
+    def case(k):
+        step, state = make(k)
+        return lambda: call(step, state)
+
+    return case
+
+
+def of_condition(call):
+    """As `of`, with a condition of k()."""
+
+    def case(k):
+        (step, state), condition = free(k), lambda z: z.q[3] - 0.3 * k()
+        return lambda: call(step, state, condition)
+
+    return case
+
+
+def reduced(**options):
+    def case(k):
+        (step, state), value, flag = free(k), lambda s, z: k() * z.q[3], lambda s, z: z.q[3] > 0.4 * k()
+        more = options | ({"first": flag} if options else {})
+        return lambda: li.run(step, two(state), DT, 8, save_every=None, reduce=value, **more).summary
+
+    return case
+
+
+def made_states(k):
+    step, state = free(k)
+    states = lambda m: jax.vmap(lambda _: state._replace(p=k() * state.p))(jnp.asarray(m))  # noqa: E731
+    return lambda: li.run(step, states, DT, 2, members=2).state.p
+
+
+def fitted(**options):
+    def case(k):
+        t = jnp.linspace(0.0, 1.0, 5)
+        residuals = lambda p: p["a"] * t + p["b"] - k() * (2 * t + 1)  # noqa: E731
+        loss = residuals if options.get("optimizer") != "lbfgs" else lambda p: jnp.sum(residuals(p) ** 2)
+        start = {"a": jnp.zeros(()), "b": jnp.zeros(())}
+        if options.get("starts"):
+            start = jax.tree.map(lambda x: jnp.stack([x, x + 1]), start)
+        return lambda: li.fit(loss, start, progress=False, **options).params
+
+    return case
+
+
+def mapped(k):
+    (step, state), value = free(k), lambda s, z: k() * z.q
+    run = li.run(step, state, DT, 2)
+    return lambda: run.map(value)
+
+
+def scanned(k):
+    f = lambda c, x: (c + k(), k() * c)  # noqa: E731
+    return lambda: li.scan(f, 0.0, length=3)
+
+
+def slope_of_scan(k):
+    f = lambda c, x: (k() * jnp.sin(c), None)  # noqa: E731
+    return lambda: jax.grad(lambda c: li.scan(f, c, length=3)[0])(0.5)
+
+
+def stored(k):
+    (step, state), folders = driven(k), itertools.count()
+    return lambda folder: li.run(step, state, DT, 2, store=folder / f"{next(folders)} {id(k)}.zarr").state.p
+
+
+def submitted(k):
+    (step, state), folders = driven(k), itertools.count()
+
+    def call(folder):
+        with concurrent.futures.ThreadPoolExecutor(1) as executor:
+            given = {"parts": 1, "executor": executor, "progress": False}
+            return li.submit(step, two(state), DT, 2, store=folder / f"{next(folders)} {id(k)}.zarr", **given).state.p
+
+    return call
+
+
+def extended(k):
+    step, state = driven(k)
+    run = li.run(step, state, DT, 2)
+    return lambda: run.extend(2).state.p
+
+
+def equilibrium(k):
+    body = li.systems.potential_top(J, lambda d: k() * d[2] + d[0] + 0.5 * d[0] ** 2)
+    guess = body.state([0.7, 0.1, 0.7, 0.0], angular_velocity=[0, 0, 0])
+    return lambda: li.equilibrium(body, guess).state.q
+
+
+def modes(k):
+    body = li.systems.potential_top(J, lambda d: k() * (d[2] + 0.1 * d[0] ** 2))
+    state = body.state([0, 1.0, 0, 0], angular_velocity=[0, 0, 0])
+    return lambda: li.normal_modes(body, state).frequencies
+
+
+def covariance(k):
+    t = jnp.linspace(0.0, 1.0, 5)
+    residuals = lambda p: k() * (p * t - 1)  # noqa: E731
+    return lambda: li.fitting.covariance(residuals, jnp.ones(1))
+
+
+def member_by_member(k):
+    of_one = li.fitting.member_by_member(lambda p, d: k() * p * d)
+    return lambda: of_one(jnp.ones(()), jnp.arange(3.0))
+
+
+def group_conservation(k):
+    tau = li.maps.scaled_cayley(lambda x: 1 + 0.1 * k() * x)
+    return lambda: li.diagnostics.group_conservation(li.groups.special_orthogonal(3), tau, 1).energy
+
+
+def explained(k):
+    f = lambda x: li.scan(lambda c, _: (jnp.sin(c) if k() == 1 else c + k(), None), x, length=3)[0]  # noqa: E731
+    return lambda: str([loop.operations for loop in li.explain(f, 1.0)])
+
+
+def by_xla(call):
+    with li.engine("xla"):
+        return call()
+
+
+D = li.diagnostics
+CASES = {
+    "run": of(driven, lambda step, state: li.run(step, state, DT, 2).state.p),
+    "run of many": of(driven, lambda step, state: li.run(step, two(state), DT, 2).state.p),
+    "run by XLA": of(driven, lambda step, state: by_xla(lambda: li.run(step, state, DT, 2).state.p)),
+    "run at times": of(driven, lambda step, state: li.run(step, state, DT, 2, save_at=[0.07]).state.p),
+    "run of a potential": of(top, lambda step, state: li.run(step, state, DT, 2, reduce="energy").summary.greatest),
+    "run, reduce": reduced(),
+    "run, first": reduced(per="member"),
+    "run, states": made_states,
+    "run, store": stored,
+    "submit": submitted,
+    "Run.map": mapped,
+    "Run.extend": extended,
+    "Run.energy_error": of(top, lambda step, state: li.run(step, state, DT, 2).energy_error()),
+    "integrate": of(driven, lambda step, state: li.integrate(step, state, DT, 2).state.p),
+    "integrate at times": of(driven, lambda step, state: li.integrate(step, state, DT, 2, save_at=[0.07]).state.p),
+    "integrate by times": of(driven, lambda step, state: li.integrate(step, state, times=[0, 0.1, 0.3]).state.p),
+    "integrate in vmap": of(
+        driven, lambda step, state: jax.vmap(lambda z: li.integrate(step, z, DT, 2).state.p)(two(state))
+    ),
+    "integrate in jit": of(driven, lambda step, state: jax.jit(lambda z: li.integrate(step, z, DT, 2).state.p)(state)),
+    "gradient of integrate": of(
+        driven, lambda step, state: jax.grad(lambda h: li.integrate(step, state, h, 3).state.p[-1, 0])(DT)
+    ),
+    "observe": of(driven, lambda step, state: li.observe(step, state, DT, [0.07, 0.1])[0].p),
+    "reversible": of(top, lambda step, state: li.reversible(step, state, DT, 2).state.p),
+    "gradient of reversible": of(
+        top, lambda step, state: jax.grad(lambda h: li.reversible(step, state, h, 4).state.p[-1, 0])(DT)
+    ),
+    "transition": of(driven, lambda step, state: li.transition(step, state, DT, 2)),
+    "event": of_condition(lambda step, state, g: li.event(step, state, DT, g, 60).t),
+    "section": of_condition(lambda step, state, g: D.section(step, two(state), DT, g, max_steps=60, count=1).t),
+    "section of many": of_condition(lambda step, state, g: D.section(step, two(state), DT, g, max_steps=60, count=9).t),
+    "scan": scanned,
+    "gradient of scan": slope_of_scan,
+    "explain": explained,
+    "fit": fitted(),
+    "fit, lbfgs": fitted(optimizer="lbfgs"),
+    "fit, scipy": fitted(optimizer="scipy"),
+    "fit, starts": fitted(starts=True),
+    "covariance": covariance,
+    "member_by_member": member_by_member,
+    "equilibrium": equilibrium,
+    "normal_modes": modes,
+    "certify": of(top, lambda step, state: str(D.certify(step, state, DT, 20))),
+    "conditions": of(top, lambda step, state: str(D.conditions(step, state, DT))),
+    "energy_error": of(top, lambda step, state: D.energy_error(step.system, li.integrate(step, state, DT, 2))),
+    "exponent_of_neighbors": of(driven, lambda step, state: D.exponent_of_neighbors(step, state, DT, 20)),
+    "exponents_of_flow": of(driven, lambda step, state: D.exponents_of_flow(step.system, state, 0.1, 2)),
+    "flow": of(driven, lambda step, state: D.flow(step.system, state, 0.1, 4).p),
+    "linearization": of(driven, lambda step, state: D.linearization(step, state, DT)),
+    "local_error": of(driven, lambda step, state: D.local_error(step, state, DT)),
+    "lyapunov": of(driven, lambda step, state: D.lyapunov(step, state, DT, 10).exponents),
+    "megno": of(driven, lambda step, state: D.megno(step, state, DT, 10).mean),
+    "modified_energy": of(top, lambda step, state: D.modified_energy(step, state, DT)),
+    "order": of(driven, lambda step, state: D.order(step, state, 0.2)),
+    "symplectic_defect": of(driven, lambda step, state: D.symplectic_defect(step, state, DT)),
+    "group_conservation": group_conservation,
+}
+QUICK = ("run", "run, reduce", "integrate", "event", "scan", "fit", "Run.map")
+
+
+@pytest.mark.parametrize("name", [x if x in QUICK else pytest.param(x, marks=pytest.mark.long) for x in CASES])
+def test_a_call_means_what_its_functions_mean_now(changes, tmp_path, name):
+    """It returns what functions return that nothing has seen before, and that have the present number."""
+
+    def numbers(call):
+        found = call(tmp_path) if inspect.signature(call).parameters else call()
+        return [x if isinstance(x, str) else np.asarray(x) for x in jax.tree.leaves(found)]
+
+    call = CASES[name](number)
+    seen = [numbers(call)]
+    for change in changes[: 1 if name in QUICK else None]:
+        change()
+        now, fresh = numbers(call), numbers(CASES[name](lambda k=number(): k))
+        assert all(map(np.array_equal, now, fresh))
+        assert not all(map(np.array_equal, now, seen[-1]))
+        seen.append(now)
+
+
+ACCEPTING = {"step", "system", "condition", "loss", "residuals", "function", "f", "tau"}  # names of arguments
+OTHERS = {
+    "constraint_error": "reads states",
+    "interpolate": "reads states",
+    "jit": "as `jax.jit`",
+    "momentum_error": "as `energy_error`",
+    "poisson_error": "rounding",
+    "reversibility": "rounding",
+    "round_trip_error": "rounding",
+    "step_cost": "a time",
+}
+
+
+def test_every_public_function_that_accepts_functions_is_a_case():
+    rooms = li, li.adjoints, li.diagnostics, li.fitting
+    found = {
+        name
+        for room in rooms
+        for name in room.__all__
+        if inspect.isfunction(function := getattr(room, name))
+        and ACCEPTING & set(inspect.signature(function).parameters)
+    }
+    assert found - set(OTHERS) <= set(CASES)
+
+
+# What is kept ---------------------------------------------------------------------------------------------------------
+
+
+def test_what_a_function_read_before_is_freed():
+    """A function that reads another large array in each call keeps those of few calls in memory."""
+    held = types.SimpleNamespace(k=None)
+
+    class Numbers(np.ndarray):
+        """Arrays to which references can be made."""
+
+    references = []
+    for _ in range(40):
+        held.k = np.ones(1000).view(Numbers)
+        references.append(weakref.ref(held.k))
+        assert li.scan(lambda c, _: (c + held.k[3], None), 0.0, length=1)[0] == 1
+    jax.clear_caches()
+    gc.collect()
+    assert sum(x() is not None for x in references) <= 16
+
+
+def test_threads_get_the_numbers_of_their_own_functions():
+    errors = []
+
+    def work(k):
+        held = types.SimpleNamespace(k=0.0)
+        f = lambda c, _: (c + held.k, None)  # noqa: E731
+        for n in range(5):
+            held.k = 10.0 * k + n
+            if li.scan(f, 0.0, length=2)[0] != 2 * held.k:
+                errors.append((k, n))
+
+    threads = [threading.Thread(target=work, args=(k,)) for k in range(4)]
+    for thread in threads:
+        thread.start()
+    for thread in threads:
+        thread.join()
+    assert not errors
