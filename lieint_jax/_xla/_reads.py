@@ -561,7 +561,7 @@ class _Reader:
             node = nodes.pop()
             if data := node.node_data():
                 self.add(data[0])
-                self.add(data[1])
+                self.add(tuple(data[1]) if data[0] is dict else data[1])  # the list of its keys is one for this call
             nodes += node.children()
         if self._is_fixed:
             if len(_fixed_structures) >= _MOST_CODES:
