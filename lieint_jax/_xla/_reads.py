@@ -24,6 +24,7 @@ from typing import Any, NamedTuple, TypeVar, cast
 
 import jax
 import numpy as np
+from jax.core import Tracer
 from jax.extend.core import ClosedJaxpr, Jaxpr, Primitive
 from jax.tree_util import PyTreeDef
 
@@ -278,12 +279,13 @@ def _is_installed(module: object) -> bool:
     return found
 
 
+_HEAP_TYPE = 1 << 9  # the flag of classes that are not part of a library in C, as that of None is
 _installed: dict[int, object] = {}  # classes and other objects that modules of installed packages have by their names
 
 
 def _is_installed_object(x: Value) -> bool:
     """True if an installed package has this object by its name: a class made by `exec` may state any module."""
-    if _installed.get(id(x)) is x:
+    if _installed.get(id(x)) is x or (isinstance(x, type) and not x.__flags__ & _HEAP_TYPE):
         return True
     module, name = getattr(x, "__module__", None), getattr(x, "__qualname__", None)
     if not (isinstance(module, str) and isinstance(name, str) and _is_installed(module)):
@@ -305,6 +307,7 @@ def _changes(module: str, chains: _Chains) -> bool:
 # What it reads now ----------------------------------------------------------------------------------------------------
 
 _PLAIN = frozenset({type(None), bool, int, str, bytes, float, complex, type(Ellipsis), range})
+_TEXTS_AND_NUMBERS = int, float, complex, str, bytes
 _MISSING = object()
 _MOST_PARTS = 200_000  # of a key: to read more takes longer than to trace a function again
 _SHORT = 2048  # bytes of content that are part of a key as they are
@@ -314,7 +317,7 @@ _SKIPPED = {
     *("__dataclass_fields__", "__dataclass_params__", "__parameters__", "__orig_bases__", "__type_params__"),
     *("__abstractmethods__", "__firstlineno__", "__static_attributes__"),
 }  # attributes of a class that Python makes
-_fixed_structures: set[PyTreeDef] = set()
+_fixed_structures: set[object] = set()
 
 
 class _UnreadableError(Exception):
@@ -508,7 +511,8 @@ class _Reader:
 
     def text_or_number(self, x: Value) -> None:
         """An object of a class that inherits one of Python's types of numbers and texts."""
-        self.parts.append(next(base.__repr__(x) for base in (int, float, complex, str, bytes) if isinstance(x, base)))
+        base: Value = next(base for base in _TEXTS_AND_NUMBERS if isinstance(x, base))
+        self.parts.append(base.__repr__(x))
 
     # Arrays and containers
 
@@ -550,7 +554,7 @@ class _Reader:
         self.sequence(list(x.keys()))
         self.sequence(list(x.values()))
 
-    def structure(self, x: PyTreeDef) -> None:
+    def structure(self, x: Value) -> None:
         """The structure of a pytree: the classes of its nodes, and what these hold besides leaves."""
         self.parts.append(x)
         if x in _fixed_structures:
@@ -596,7 +600,7 @@ _POINTER = 8  # bytes
 _CONTENTS: dict[Value, Callable[[_Reader, Value], None]] = {
     dict: _Reader.mapping,
     **dict.fromkeys((tuple, list, set, frozenset), _Reader.sequence),
-    **dict.fromkeys((int, float, complex, str, bytes), _Reader.text_or_number),
+    **dict.fromkeys(_TEXTS_AND_NUMBERS, _Reader.text_or_number),
 }
 _READERS: dict[type, Callable[[_Reader, Value], None]] = {
     types.FunctionType: _Reader.function,
@@ -626,7 +630,7 @@ _READERS: dict[type, Callable[[_Reader, Value], None]] = {
     ),
 }
 _KINDS: tuple[tuple[Value, Callable[[_Reader, Value], None]], ...] = (
-    (jax.core.Tracer, _Reader.refuse),
+    (Tracer, _Reader.refuse),
     (np.ndarray, _Reader.array),
     (np.generic, _Reader.number),
     (type, _Reader.type),

@@ -200,7 +200,7 @@ class Problem:
         """`flagged_errors`, compiled."""
         return _calculate(self, params, data)
 
-    def estimate(self, params: Params, covariance: ArrayLike, data: PyTree, freedom: ArrayLike) -> Estimate:
+    def estimate(self, params: Params, covariance: Array, data: PyTree, freedom: Array) -> Estimate:
         """`_estimate` of this problem, compiled."""
         return _estimate(self, params, covariance, data, freedom)
 
@@ -393,7 +393,7 @@ def estimates(
 
 
 @partial(rereading_jit, static_argnums=0)
-def _estimate(problem: Problem, params: Params, covariance: ArrayLike, data: PyTree, freedom: ArrayLike) -> PyTree:
+def _estimate(problem: Problem, params: Params, covariance: Array, data: PyTree, freedom: Array) -> PyTree:
     """The estimate of one fit; for `StudentT` its covariance is the inverse of the observed information.
 
     The information is that of the linearized model: the second derivatives of the errors are left out. The

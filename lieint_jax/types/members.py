@@ -9,7 +9,6 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import Array, lax
-from jax.tree_util import PyTreeDef
 
 from lieint_jax._xla import remembered
 from lieint_jax.types.shapes import PyTree
@@ -150,7 +149,7 @@ def _fits(system: PyTree, one: PyTree) -> bool:
 
 
 @remembered(64)
-def _is_single(structure: PyTreeDef, shapes: tuple[tuple[tuple[int, ...], np.dtype], ...]) -> bool:
+def _is_single(structure: PyTree, shapes: tuple[tuple[tuple[int, ...], np.dtype], ...]) -> bool:
     """`_fits` of a system and a state of these shapes and types."""
 
     def checked_energy(system: PyTree, state: PyTree) -> Array:
