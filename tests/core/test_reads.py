@@ -230,6 +230,7 @@ def changes():
 J = [1.0, 2.0, 3.0]
 MOTION = {"attitude": [0.8, 0.6, 0, 0], "angular_velocity": [0.3, 0.2, 1.0]}
 DT = 0.05
+NUMBERS = itertools.count()  # of stores
 
 
 def driven(k):
@@ -318,25 +319,19 @@ def slope_of_scan(k):
 
 
 def stored(k):
-    (step, state), folders = driven(k), itertools.count()
-    return lambda folder: li.run(step, state, DT, 2, store=folder / f"{next(folders)} {id(k)}.zarr").state.p
+    step, state = driven(k)
+    return lambda folder: li.run(step, state, DT, 2, store=folder / f"{next(NUMBERS)}.zarr").state.p
 
 
 def submitted(k):
-    (step, state), folders = driven(k), itertools.count()
+    step, state = driven(k)
 
     def call(folder):
         with concurrent.futures.ThreadPoolExecutor(1) as executor:
             given = {"parts": 1, "executor": executor, "progress": False}
-            return li.submit(step, two(state), DT, 2, store=folder / f"{next(folders)} {id(k)}.zarr", **given).state.p
+            return li.submit(step, two(state), DT, 2, store=folder / f"{next(NUMBERS)}.zarr", **given).state.p
 
     return call
-
-
-def extended(k):
-    step, state = driven(k)
-    run = li.run(step, state, DT, 2)
-    return lambda: run.extend(2).state.p
 
 
 def equilibrium(k):
@@ -390,7 +385,7 @@ CASES = {
     "run, store": stored,
     "submit": submitted,
     "Run.map": mapped,
-    "Run.extend": extended,
+    "Run.extend": of(driven, lambda step, state: li.run(step, state, DT, 2).extend(2).state.p),
     "Run.energy_error": of(top, lambda step, state: li.run(step, state, DT, 2).energy_error()),
     "integrate": of(driven, lambda step, state: li.integrate(step, state, DT, 2).state.p),
     "integrate at times": of(driven, lambda step, state: li.integrate(step, state, DT, 2, save_at=[0.07]).state.p),
@@ -437,6 +432,12 @@ CASES = {
     "symplectic_defect": of(driven, lambda step, state: D.symplectic_defect(step, state, DT)),
     "group_conservation": group_conservation,
 }
+
+
+def same(x, y):
+    return x == y if isinstance(x, str) else np.array_equal(x, y, equal_nan=True)
+
+
 QUICK = ("run", "run, reduce", "integrate", "scan", "fit", "Run.map")
 
 
@@ -454,8 +455,8 @@ def test_a_call_means_what_its_functions_mean_now(changes, tmp_path, name):
         change()
         present = number()
         now, fresh = numbers(call), numbers(CASES[name](lambda k=present: k))
-        assert all(map(np.array_equal, now, fresh))
-        assert not all(map(np.array_equal, now, seen[-1]))
+        assert all(map(same, now, fresh))
+        assert not all(map(same, now, seen[-1]))
         seen.append(now)
 
 
