@@ -306,7 +306,7 @@ def function(name: str, given: Callable[..., object], of: str, shape: tuple[int,
     """
     wanted = f"an array of real numbers of shape {shape}" if shape else "a real scalar"
     try:
-        value = jax.eval_shape(given, *arguments)
+        value = jax.eval_shape(lambda *x: given(*x), *arguments)  # JAX would return what it has found before
     except Exception as error:  # a user's function may raise anything
         reason = f"{type(error).__name__}: {error}".partition("\n")[0]
         raise ValueError(

@@ -23,8 +23,11 @@ which runs what has no machine code, handles the same equations well with these 
 `with_common_mesh`, `axis_spread`: Over a mesh of explicit axes the types of arrays say over which devices they are
     spread.
 
+`reads`, `rereading_jit`, `remembered`, `Kept`, `shapes_now`: Where a user has not written `jit`, a program that is kept
+    for a function is made again when the function reads other values than before.
+
 `compiled` is `jax.jit` with options that halve the compile time of the package's own programs; `jit` is the same for
-those of users. `Recent` stores the programs used last, for all threads.
+those of users.
 """
 
 from lieint_jax._xla._compile import compiled, jit
@@ -37,11 +40,11 @@ from lieint_jax._xla._materialize import (
     unfused,
     with_materialized_derivatives,
 )
-from lieint_jax._xla._recent import Recent
+from lieint_jax._xla._reads import Kept, reads, remembered, rereading_jit, shapes_now
 from lieint_jax._xla._varying import axis_spread, differ, result_like, unchecked, with_common_axes, with_common_mesh
 
 __all__ = [
-    "Recent",
+    "Kept",
     "axis_spread",
     "compiled",
     "differ",
@@ -50,9 +53,13 @@ __all__ = [
     "jvp_of_varied",
     "materialized",
     "materialized_arrays",
+    "reads",
     "rematerialized",
+    "remembered",
+    "rereading_jit",
     "result_like",
     "saved",
+    "shapes_now",
     "unchecked",
     "unfused",
     "with_common_axes",

@@ -9,13 +9,12 @@ from typing import Any, TypeVar, cast
 import jax
 
 from lieint_jax._checks import outermost
-from lieint_jax._xla._recent import Recent
+from lieint_jax._xla._reads import rereading_jit
 
 Tree = Any  # a tree of arrays
 _Function = TypeVar("_Function", bound=Callable[..., Tree])
 _QUICKLY = {"xla_cpu_use_fusion_emitters": False}
 _ONCE = {**_QUICKLY, "xla_backend_optimization_level": 0}
-_MOST_KEPT = 24  # programs of a function, for static arguments and structures of the others
 _refused: set[str] = set()  # options that this XLA does not have
 
 
@@ -52,48 +51,33 @@ def compiled(function: _Function, static_argnums: int | tuple[int, ...] = (), on
 
     On CPUs XLA's older emitters compile in half of the time, and loops over steps run as fast; an XLA without them, as
     in jaxlib beyond 0.10, compiles as usual. XLA accepts such options for whole programs only, and JAX does not
-    differentiate programs with options: inside jit, grad and other transformations there are none. The programs for the
-    structures of arguments used last are kept: a user's new functions are new structures, and JAX would keep the
-    programs of all, some MiB for each.
+    differentiate programs with options: inside jit, grad and other transformations there are none. A function of the
+    arguments that reads other numbers than before is traced again: see `rereading_jit`.
 
     Args:
         function, static_argnums: as in `jax.jit`.
         once: True if a call is faster than its compilation, as that of a check: then LLVM's optimizations are off too.
     """
-    plain = jax.jit(function, static_argnums=static_argnums, inline=True)
-    static = (static_argnums,) if isinstance(static_argnums, int) else static_argnums
     options = _ONCE if once else _QUICKLY
-    programs = Recent()
+    plain = rereading_jit(function, static_argnums, inline=True)
+    variants: dict[tuple[str, ...], _Function] = {}
 
     @functools.wraps(function)
     def call(*arguments: Tree, **named: Tree) -> Tree:
         if not outermost():
             return plain(*arguments, **named)
-        fixed = {k: x for k, x in enumerate(arguments) if k in static}
-        given = [x for k, x in enumerate(arguments) if k not in fixed]
-        kind = tuple(fixed.items()), jax.tree.structure((given, named))
 
         def attempt(names: Sequence[str]) -> Tree:
-            def make() -> Callable[..., Tree]:
-                own = functools.wraps(function)(_with_fixed(function, fixed))
-                return jax.jit(own, compiler_options={name: options[name] for name in names} or None)
-
-            program = programs.get((tuple(names), kind), make, _MOST_KEPT)
-            return program(*given, **named)
+            chosen = {name: options[name] for name in names}
+            program = variants.get(tuple(names))
+            if program is None:
+                program = rereading_jit(function, static_argnums, compiler_options=chosen or None)
+                program = variants.setdefault(tuple(names), program)
+            return program(*arguments, **named)
 
         return _with_known(options, attempt)
 
     return cast("_Function", call)
-
-
-def _with_fixed(function: Callable[..., Tree], fixed: dict[int, object]) -> Callable[..., Tree]:
-    """A function of its other arguments; it is freed with its `jit`, of which JAX would keep static arguments."""
-
-    def of_others(*given: Tree, **named: Tree) -> Tree:
-        rest = iter(given)
-        return function(*(fixed[k] if k in fixed else next(rest) for k in range(len(fixed) + len(given))), **named)
-
-    return of_others
 
 
 def _with_known(wanted: Collection[str], attempt: Callable[[Sequence[str]], Tree]) -> Tree:

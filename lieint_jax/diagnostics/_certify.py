@@ -15,7 +15,7 @@ from jax import Array
 from jax.typing import ArrayLike
 
 from lieint_jax import _checks
-from lieint_jax._xla import compiled
+from lieint_jax._xla import compiled, shapes_now
 from lieint_jax.diagnostics import _measure
 from lieint_jax.diagnostics._order import fitted_order, reversibility_of_run
 from lieint_jax.diagnostics._symplectic import dimensionless_defect
@@ -194,7 +194,7 @@ def certify(step: Step, state: State, dt: float, num_steps: int) -> Certificate 
         clock=_relative(_clock_error(run.state, dt), seen.size),
         own_time=step.own_time,
         cancellation=max(1.0, _relative(seen.terms, seen.total)),
-        momentum_map=jax.eval_shape(step.system.momentum, state).size > 0,
+        momentum_map=shapes_now(step.system.momentum, state).size > 0,
         hamiltonian=step.system.hamiltonian,
         scheme_order=step.order,
     )

@@ -11,6 +11,7 @@ import numpy as np
 from jax import Array
 
 from lieint_jax import _checks
+from lieint_jax._xla import rereading_jit
 from lieint_jax.diagnostics._series import energy_error
 from lieint_jax.diagnostics._symplectic import symplectic_defect
 from lieint_jax.groups import MatrixGroup
@@ -77,7 +78,7 @@ def group_conservation(group: MatrixGroup, tau: Map, metrics: int = 4) -> GroupC
     return GroupConservation(energy, momentum, form, bool(np.all(converged)))
 
 
-@partial(jax.jit, static_argnums=(0, 1, 2), compiler_options=_QUICK)
+@partial(rereading_jit, static_argnums=(0, 1, 2), compiler_options=_QUICK)
 def _measure_metric(tau: Map, dt: float, steps: int, system: Euler, state: State) -> tuple[Array, ...]:
     """Energy error, largest ‖Ad_q‖, change of momentum, symplectic defect and convergence, with one metric."""
     step = group_midpoint(system, tau)

@@ -9,7 +9,7 @@ from __future__ import annotations
 import dataclasses
 import warnings
 from collections.abc import Callable, Hashable
-from functools import cached_property, lru_cache, partial
+from functools import cached_property, partial
 from typing import TYPE_CHECKING, Any, NamedTuple, TypedDict, TypeVar, Unpack, cast, overload
 
 import jax
@@ -21,6 +21,7 @@ from jax.sharding import Mesh
 from numpy.typing import ArrayLike
 
 from lieint_jax import _checks
+from lieint_jax._xla import remembered
 from lieint_jax.fitting import _bounds
 from lieint_jax.fitting._box import Box
 from lieint_jax.fitting._descent import descent, lbfgs
@@ -108,8 +109,8 @@ def fit(
 ) -> Fit:
     """Fit parameters: minimize a loss, or the sum of squares of residuals, within bounds.
 
-    A fit of the same loss, with arrays of the same shapes, is compiled once. As with `jax.jit`, numbers that a function
-    reads from outside are then those of its first call: give numbers that change as `data`.
+    A fit of the same loss, with arrays of the same shapes, is compiled once; again if the loss reads other numbers from
+    outside than before. Numbers that change often are faster as `data`.
 
     Args:
         loss: parameters ↦ a scalar; for least squares ("levenberg_marquardt", "gauss_newton", "scipy") ↦ residuals, an
@@ -348,16 +349,9 @@ class _Programs(NamedTuple):
     halved: Callable[..., tuple[Array, Array, float] | None]
 
 
+@remembered(_MOST_KEPT)
 def _programs(problem: _Problem, starts: bool, mesh: Mesh | None) -> _Programs:
     """The programs of a problem, those of an earlier and equal one where there are any."""
-    try:
-        return _kept_programs(problem, starts, mesh)
-    except TypeError:  # a loss or an optimizer that cannot be compared
-        return _kept_programs.__wrapped__(problem, starts, mesh)
-
-
-@lru_cache(maxsize=_MOST_KEPT)
-def _kept_programs(problem: _Problem, starts: bool, mesh: Mesh | None) -> _Programs:
     compiled = partial(over_members, mesh=mesh) if starts else jax.jit
     params = jax.jit(jax.vmap(problem.params)) if starts else problem.params
     begin, iterate, finish = map(compiled, (problem.begin, problem.iterate, problem.finish))

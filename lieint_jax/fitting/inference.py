@@ -15,7 +15,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
-from functools import cached_property, partial
+from functools import partial
 from typing import NamedTuple
 
 import jax
@@ -25,6 +25,7 @@ from jax import Array
 from jax.flatten_util import ravel_pytree
 from jax.typing import ArrayLike
 
+from lieint_jax._xla import rereading_jit, shapes_now
 from lieint_jax.fitting._bounds import Bound, free, interval
 from lieint_jax.fitting._fit import fit
 from lieint_jax.fitting._outcome import Fit
@@ -154,23 +155,23 @@ class Problem:
         """The names of all numbers, in the order of the vector x."""
         return [name for key in sorted(self.unknowns) for name in self.unknowns[key].names]
 
-    @cached_property
+    @property
     def levels(self) -> Params:
         """The first guess of the noise levels, if they are fitted."""
         return {"noise": jnp.asarray(self.noise.start)} if isinstance(self.noise, StudentT) else {}
 
-    @cached_property
+    @property
     def guess(self) -> Params:
         """The first guess, with that of the noise levels."""
         return {name: jnp.asarray(u.start, float) for name, u in self.unknowns.items()} | self.levels
 
-    @cached_property
+    @property
     def unravel(self) -> Callable[[ArrayLike], Params]:
         """The parameters of a vector x, (p,)."""
         unravel = ravel_pytree(_split_noise(self.guess)[0])[1]
         return lambda x: unravel(jnp.asarray(x))
 
-    @cached_property
+    @property
     def bounds(self) -> dict[str, Bound]:
         """The bound of each parameter, and of the noise levels."""
         found = {name: u.bound for name, u in self.unknowns.items()}
@@ -193,17 +194,18 @@ class Problem:
     @property
     def shape(self) -> tuple[int, ...]:
         """The shape of the errors."""
-        return jax.eval_shape(self.flagged_errors, _split_noise(self.guess)[0], self.data)[0].shape
+        return shapes_now(self.flagged_errors, _split_noise(self.guess)[0], self.data)[0].shape
 
-    @cached_property
-    def calculate(self) -> Callable[[Params, PyTree], tuple[Array, ArrayLike]]:
-        """The compiled `flagged_errors`."""
-        return jax.jit(self.flagged_errors)
+    def calculate(self, params: Params, data: PyTree) -> tuple[Array, ArrayLike]:
+        """`flagged_errors`, compiled."""
+        return _calculate(self, params, data)
 
-    @cached_property
-    def estimate(self) -> Callable[..., Estimate]:
-        """The compiled `_estimate` of this problem."""
-        return jax.jit(partial(_estimate, self))
+    def estimate(self, params: Params, covariance: Array, data: PyTree, freedom: Array) -> Estimate:
+        """`_estimate` of this problem, compiled."""
+        return _estimate(self, params, covariance, data, freedom)
+
+
+_calculate = rereading_jit(Problem.flagged_errors, static_argnums=0)
 
 
 class Estimate(NamedTuple):
@@ -390,6 +392,7 @@ def estimates(
     return jax.tree.map(lambda *leaves: np.stack(leaves), *each)
 
 
+@partial(rereading_jit, static_argnums=0)
 def _estimate(problem: Problem, params: Params, covariance: Array, data: PyTree, freedom: Array) -> PyTree:
     """The estimate of one fit; for `StudentT` its covariance is the inverse of the observed information.
 
@@ -559,7 +562,7 @@ def _check_shapes(problem: Problem) -> None:
         raise ValueError(f"t must hold the times of the {rows} rows of errors, got the shape {np.shape(problem.t)}")
     if problem.derived is not None:
         motion = _split_noise(problem.guess)[0]
-        found, named = jax.eval_shape(problem.derived, motion, problem.data).shape, (len(problem.quantities),)
+        found, named = shapes_now(problem.derived, motion, problem.data).shape, (len(problem.quantities),)
         if found != named:
             raise ValueError(f"derived returns the shape {found}, but `quantities` has {named[0]} names: needs {named}")
 

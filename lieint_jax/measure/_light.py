@@ -13,6 +13,7 @@ from jax.custom_derivatives import SymbolicZero
 from jax.typing import ArrayLike
 
 from lieint_jax import _checks
+from lieint_jax._xla import rereading_jit
 from lieint_jax.groups import so3
 from lieint_jax.measure._states import Directions, directions, map_run, rotate, rotation
 from lieint_jax.runs import Run
@@ -172,7 +173,7 @@ def light_curve(
     return _curve(callable_pytree(law), facets, R, s, o)
 
 
-@jax.jit
+@rereading_jit
 def _curve(law: ScatteringLaw, facets: Facets, R: Array, sun: Array, observer: Array) -> Array:
     """One time after the other: all facets of all times and members may exceed the memory."""
 

@@ -105,7 +105,7 @@ def explain(f: Callable[..., Any], *args: Any) -> Explanation:
         [('values', 100, 1000, 3)]
     """
     begin = time.perf_counter()
-    traced = jax.jit(f).trace(*args)
+    traced = jax.jit(lambda *given: f(*given)).trace(*args)  # else JAX may return what it has traced before
     seconds = {"trace": time.perf_counter() - begin}
     found = list(loops_of(traced.jaxpr))
     reports = tuple(_report(loop) for loop in dict.fromkeys(x for x in found if x is not None))

@@ -18,7 +18,7 @@ from jax.core import ShapedArray, Tracer
 from jax.extend.core import ClosedJaxpr, Primitive, jaxpr_as_fun
 
 from lieint_jax._checks import outermost
-from lieint_jax._xla import axis_spread, differ, result_like, unchecked, with_common_axes
+from lieint_jax._xla import axis_spread, differ, remembered, result_like, unchecked, with_common_axes
 
 Tree = Any  # a tree of arrays
 AnyArray = Any  # an array, or what stands for one in JAX: a tracer, a shape, a tangent
@@ -211,7 +211,7 @@ def march(
 class _Checked(NamedTuple):
     """A step that returns (carry, y), with a carry of the structure, shapes and types of the one before.
 
-    It is equal to another if it has the same function, so that JAX traces it once.
+    It is equal to another if it has the same function, so that it is traced once.
     """
 
     step: Callable[..., tuple[Tree, Tree]]
@@ -237,17 +237,14 @@ class _Checked(NamedTuple):
 
 def _traced(step: _Checked, shapes: AnyArrays, is_closed: bool) -> tuple[ClosedJaxpr, Tree]:
     """The jaxpr of a step, and the shapes of its results; where no tracer can be closed over, the one of before."""
-    try:
-        jitted = _jitted_step(step) if is_closed else None
-    except TypeError:  # the function has no hash
-        jitted = None
-    if jitted is None:
-        return jax.make_jaxpr(step, return_shape=True)(*shapes)
-    traced = jitted.trace(*shapes)
+    if not is_closed:
+        new = lambda *arguments: step(*arguments)  # noqa: E731  # else JAX may return what it has traced before
+        return jax.make_jaxpr(new, return_shape=True)(*shapes)
+    traced = _jitted_step(step).trace(*shapes)
     return traced.jaxpr, traced.out_info
 
 
-@functools.lru_cache(12)
+@remembered(12)
 def _jitted_step(step: _Checked) -> Any:
     return jax.jit(lambda *arguments: step(*arguments))
 

@@ -34,8 +34,8 @@ def scan(
     all members, such as the logistic map, gains in its gradient only. All transformations of JAX apply: `jit`, `vmap`,
     `jvp`, `grad`, `jax.checkpoint`, derivatives of derivatives. Reverse mode stores the carries before about 2√length
     steps, and computes the others again. On a GPU the loop is one kernel. Where a step has an operation without a
-    formula in machine code, XLA runs the loop; the log says so. Outside of `jax.jit` a function is compiled once, but a
-    derivative in each call.
+    formula in machine code, XLA runs the loop; the log says so. Outside of `jax.jit` a function is compiled once, and
+    again if it reads other numbers from outside than before; a derivative is compiled in each call.
 
     Args:
         f: (carry, x) ↦ (carry, y), a pure function of small arrays: each of their entries is a number of the program.

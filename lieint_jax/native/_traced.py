@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import functools
 import itertools
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Hashable, Sequence
 from typing import Any, NamedTuple, TypeVar
 
 import jax
@@ -15,7 +15,7 @@ from jax.extend.core import ClosedJaxpr, JaxprEqn
 from jax.typing import ArrayLike
 
 from lieint_jax._checks import dtype_of
-from lieint_jax._xla import Recent
+from lieint_jax._xla import Kept
 from lieint_jax.native._primitives.abstract_walk import (
     LARGEST,
     Rows,
@@ -197,23 +197,31 @@ def _dtype(x: ArrayLike | jax.ShapeDtypeStruct) -> np.dtype:
     return dtype if jax.numpy.issubdtype(dtype, jax.dtypes.extended) else jax.dtypes.canonicalize_dtype(dtype)
 
 
-_MOST_KEPT = 12  # of what is made once; each holds a jaxpr or a program of numbers, some MiB
-_cache = Recent()
+_MOST_KEPT = 12  # of each kind that is made once; each holds a jaxpr or a program of numbers, some MiB
+_cache: dict[object, Kept] = {}
 
 
 def make_once(
-    kind: Callable[..., _Compiled], function: object, kinds: Sequence[Tree], examples: Sequence[Tree]
+    kind: Callable[..., _Compiled],
+    function: object,
+    kinds: Sequence[Tree],
+    examples: Sequence[Tree],
+    read: Hashable = (),
 ) -> _Compiled:
     """`kind(function, kinds, examples)`, made once for all arguments of the same shapes; failures are stored too.
 
     Those of each kind used last are kept, so that a session that makes ever new functions does not fill the memory.
+
+    Args:
+        kind, function, kinds, examples: see above.
+        read: the key of what the function reads; None if it is to be made in each call.
 
     Raises:
         UnsupportedError: see `Traced`.
     """
     leaves, structure = jax.tree.flatten(tuple(examples))
     shapes = tuple((np.shape(x), _dtype(x)) for x in leaves)
-    key = kind, function, tuple(jax.tree.leaves(tuple(kinds))), jax.tree.structure(tuple(kinds)), structure, shapes
+    key = function, tuple(jax.tree.leaves(tuple(kinds))), jax.tree.structure(tuple(kinds)), structure, shapes, read
 
     def make() -> _Compiled | UnsupportedError:
         try:
@@ -221,7 +229,7 @@ def make_once(
         except UnsupportedError as reason:
             return reason
 
-    found = _cache.get(key, make, _MOST_KEPT)
+    found = _cache.setdefault(kind, Kept()).get(None if read is None else key, make, _MOST_KEPT)
     if isinstance(found, UnsupportedError):
         raise found
     return found

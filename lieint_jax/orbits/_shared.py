@@ -13,6 +13,7 @@ import numpy as np
 from jax import Array
 from jax.typing import ArrayLike
 
+from lieint_jax._xla import rereading_jit
 from lieint_jax.orbits._kepler import kepler
 from lieint_jax.types import pytree, static
 from lieint_jax.types.shapes import Calls
@@ -57,7 +58,7 @@ class SharedFrame(SharedFunction):
         return _call(self.function, _angular_velocity, t)
 
 
-@partial(jax.jit, static_argnums=(0, 1))
+@partial(rereading_jit, static_argnums=(0, 1))
 def _call(function: _Constant, ask: Callable[[Any, ArrayLike], Any], t: ArrayLike) -> Any:
     return ask(function.value, t)
 

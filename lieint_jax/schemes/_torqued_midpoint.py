@@ -85,7 +85,8 @@ class TorquedMidpoint(Step):
         dtype = state.p.dtype
         number, q, vector = (jax.ShapeDtypeStruct(shape, dtype) for shape in ((), (4,), (3,)))
         for name, law in zip(labels(self.system), self.system.laws, strict=True):
-            found = jax.eval_shape(law, number, q, vector).dtype if isinstance(law, Function) else dtype
+            now = functools.partial(law)  # of a function itself JAX would return what it has found before
+            found = jax.eval_shape(now, number, q, vector).dtype if isinstance(law, Function) else dtype
             if jnp.issubdtype(found, jnp.floating) and found.itemsize < dtype.itemsize:
                 return (
                     f"the torque {name} returns {found}, so that no step converges to round-off of {dtype}, the type "

@@ -4,12 +4,12 @@ from __future__ import annotations
 
 from typing import Any
 
-import jax
 import jax.numpy as jnp
 from jax import Array
 
 from lieint_jax import _checks
 from lieint_jax._checks import concrete, named
+from lieint_jax._xla import shapes_now
 from lieint_jax.groups import so3
 from lieint_jax.orbits import kepler
 from lieint_jax.systems._catalogue import SystemProperties
@@ -80,7 +80,7 @@ class GravityGradient(MovedBody):
         if concrete(mu) and not float(mu) > 0:
             raise ValueError(f"mu must be positive, got {float(mu)}")
         try:
-            shapes = [x.shape for x in jax.eval_shape(orbit, jnp.zeros((), self.inertia.dtype))]
+            shapes = [x.shape for x in shapes_now(orbit, jnp.zeros((), self.inertia.dtype))]
         except (AttributeError, TypeError, IndexError, ValueError) as error:
             raise ValueError(f"orbit must be a function t ↦ (position, velocity); it fails: {error}") from error
         if shapes != [(3,), (3,)]:

@@ -14,6 +14,7 @@ from jax.tree_util import Partial
 from numpy.typing import ArrayLike
 
 from lieint_jax import _checks
+from lieint_jax._xla import shapes_now
 from lieint_jax.capabilities import AbstractBodyInTime, AbstractFreeBodyInTime, AbstractTorquedBodyInTime
 from lieint_jax.groups import so3
 from lieint_jax.systems._catalogue import SystemProperties
@@ -168,7 +169,7 @@ def _check(name: str, function: Any) -> None:
         )
     value, zero = partial(_value, function), jnp.zeros(())
     try:
-        shape = jax.eval_shape(value, zero).shape
+        shape = shapes_now(value, zero).shape
     except Exception:  # `_checks.function` says what fails
         shape = (3,)
     _checks.function(name, value, "the time t", shape if shape == (3, 3) else (3,), zero)

@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import Any
 
-import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import Array, lax
@@ -14,6 +13,7 @@ from numpy.typing import ArrayLike
 
 from lieint_jax import _checks
 from lieint_jax._checks import concrete
+from lieint_jax._xla import rereading_jit
 from lieint_jax.groups import so3
 from lieint_jax.types import callable_pytree
 from lieint_jax.types.vectors import Symmetric, norm, symmetric
@@ -53,7 +53,7 @@ def direction_at(direction: VectorOfTime, t: Array) -> Array:
     return s / norm(s) if callable(direction) else s
 
 
-@jax.jit
+@rereading_jit
 def evaluate(function: Callable[[Array], Any], t: Array) -> Any:
     """A function of time, traced once, although a step evaluates it in each iteration."""
     return function(t)

@@ -10,6 +10,7 @@ import jax.numpy as jnp
 import numpy as np
 from jax import Array, lax
 
+from lieint_jax._xla import remembered
 from lieint_jax.types.shapes import PyTree
 
 Axis = int | Literal["auto"] | None
@@ -143,13 +144,20 @@ def _member_shapes(states: PyTree, leading: int) -> PyTree:
 
 def _fits(system: PyTree, one: PyTree) -> bool:
     """Whether a system has the shapes of a single one: it accepts this state, and its energy is a scalar."""
+    leaves, structure = jax.tree.flatten((system, one))
+    return _is_single(structure, tuple((np.shape(x), jnp.result_type(x)) for x in leaves))
+
+
+@remembered(64)
+def _is_single(structure: PyTree, shapes: tuple[tuple[tuple[int, ...], np.dtype], ...]) -> bool:
+    """`_fits` of a system and a state of these shapes and types."""
+
+    def checked_energy(system: PyTree, state: PyTree) -> Array:
+        system.check(state)
+        return system.energy(state)
+
     try:
-        return jax.eval_shape(_checked_energy, system, one).shape == ()
+        system, one = jax.tree.unflatten(structure, [jax.ShapeDtypeStruct(*x) for x in shapes])
+        return jax.eval_shape(checked_energy, system, one).shape == ()
     except (TypeError, ValueError, IndexError):
         return False
-
-
-@jax.jit  # never compiled: JAX remembers the shapes of a jitted function
-def _checked_energy(system: PyTree, state: PyTree) -> Array:
-    system.check(state)
-    return system.energy(state)

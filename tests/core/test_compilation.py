@@ -18,7 +18,7 @@ from jax.experimental.compilation_cache import compilation_cache
 
 import lieint_jax as li
 from lieint_jax._cache import use_program_cache
-from lieint_jax._xla import Recent, _compile
+from lieint_jax._xla import _compile, _reads
 from lieint_jax.native import _machine, _traced
 from lieint_jax.runs._job import loop as _loop
 
@@ -278,9 +278,9 @@ def test_derivatives_outside_of_jit_go_through_the_package_s_own_programs():
 
 def test_programs_of_functions_that_are_gone_are_freed(monkeypatch):
     """Each new function of a user kept some MiB for ever: XLA's program of a check, and what was walked."""
-    monkeypatch.setattr(_compile, "_MOST_KEPT", 2)
+    monkeypatch.setattr(_reads, "_MOST_KEPT", 2)
     monkeypatch.setattr(_traced, "_MOST_KEPT", 2)
-    monkeypatch.setattr(_traced, "_cache", Recent())
+    monkeypatch.setattr(_traced, "_cache", {})
     check = _compile.compiled(lambda function, x: function(x), static_argnums=0, once=True)
     programs, functions = [], []
 
@@ -325,12 +325,12 @@ def in_threads(count, work):
 @pytest.mark.parametrize("most", [3, 100])
 def test_threads_share_what_was_made(most):
     """Runs in several threads ended in RuntimeError or KeyError: each moved and dropped entries of one dictionary."""
-    recent, found = Recent(), [{} for _ in range(8)]
+    kept, found = _reads.Kept(), [{} for _ in range(8)]
 
     def work(k):
         for n in range(1500):
             key = "ab"[n % 2], n % 11
-            found[k].setdefault(key, recent.get(key, object, most))
+            found[k].setdefault(key, kept.get(key, object, most))
 
     assert not in_threads(8, work)
     if most == 100:  # nothing was dropped, so that all have the same
@@ -360,7 +360,7 @@ NEW = {  # of each, a system of a new function
 @pytest.mark.long
 @pytest.mark.parametrize("name", NEW)
 def test_checks_of_new_functions_keep_no_programs(monkeypatch, name):
-    monkeypatch.setattr(_compile, "_MOST_KEPT", 1)
+    monkeypatch.setattr(_reads, "_MOST_KEPT", 1)
     motion = {"positions": np.eye(3)[:2], "velocities": np.zeros((2, 3))} if name == "gravity" else {}
     turn = {"angular_velocities": np.eye(3)[:2]} if name == "gravity" else {"angular_velocity": [0.1, 0.2, 0.3]}
     counts = []
@@ -394,8 +394,8 @@ def test_a_potential_s_parameter_may_be_varied():
 @pytest.mark.parametrize("engine", ["integrate", "ensemble"])
 def test_runs_of_new_functions_keep_few_of_them(monkeypatch, engine):
     """Each new function of a user kept some 10 MiB of jaxprs for ever, in caches of JAX and of machine code."""
-    monkeypatch.setattr(_compile, "_MOST_KEPT", 1)
-    monkeypatch.setattr(_traced, "_cache", Recent())
+    monkeypatch.setattr(_reads, "_MOST_KEPT", 1)
+    monkeypatch.setattr(_traced, "_cache", {})
     kept = []
     for k in range(36):
         law = lambda g, k=k: k * g[2]  # noqa: E731

@@ -11,7 +11,7 @@ from types import SimpleNamespace
 import numpy as np
 
 from lieint_jax import _checks, ensemble
-from lieint_jax._xla import Recent, compiled
+from lieint_jax._xla import compiled
 from lieint_jax.native import _kernel, _machine, _march_code, _traced
 from lieint_jax.runs._host import execute as _execute
 from lieint_jax.runs._host import run as _run
@@ -82,13 +82,13 @@ def largest_at_once(monkeypatch, dim):
 
 def always_map(monkeypatch):
     """Let programs of all lengths have maps over long axes."""
-    monkeypatch.setattr(_traced, "_cache", Recent())
+    monkeypatch.setattr(_traced, "_cache", {})
     monkeypatch.setattr(_traced, "_UNROLLED", 0)
 
 
 def limit_kernels(monkeypatch, most):
     """Let steps of more than so many operations be too long for a kernel."""
-    monkeypatch.setattr(_traced, "_cache", Recent())  # of what is known of loops
+    monkeypatch.setattr(_traced, "_cache", {})  # of what is known of loops
     monkeypatch.setattr(_kernel, "_LONGEST", most)
 
 

@@ -25,7 +25,7 @@ from jax import Array, lax
 from jax.typing import ArrayLike
 
 from lieint_jax import native
-from lieint_jax._xla import compiled, with_common_axes
+from lieint_jax._xla import compiled, rereading_jit, with_common_axes
 from lieint_jax.runs._march.clock import Clock, uniform_clock
 from lieint_jax.runs._march.driver import Reached, at_start, counted, reported
 from lieint_jax.schemes import Composition
@@ -154,7 +154,7 @@ def _no_cotangent(x: Array) -> Array | np.ndarray:
     return jnp.zeros_like(x) if jnp.issubdtype(x.dtype, jnp.floating) else np.zeros(np.shape(x), jax.dtypes.float0)
 
 
-_backward = jax.jit(_Undoable.backward, static_argnums=0)  # a gradient outside of jit compiles it once
+_backward = rereading_jit(_Undoable.backward, static_argnums=0)  # a gradient outside of jit compiles it once
 _run: Callable[..., PyTree] = jax.custom_vjp(_Undoable.states, nondiff_argnums=(0,))
 _run.defvjp(_Undoable.forward, _Undoable.pull_back)
 

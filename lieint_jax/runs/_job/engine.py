@@ -18,6 +18,7 @@ from jax.extend.core import ClosedJaxpr
 from jax.sharding import Mesh
 
 from lieint_jax import native
+from lieint_jax._xla import reads
 from lieint_jax.native import UnsupportedError, computed_by, unsupported_if_it_fails, warn_once
 from lieint_jax.runs._job import devices, loop
 from lieint_jax.runs._job.devices import Layout, Numbers, Tree
@@ -100,7 +101,8 @@ class Engine:
         if what[0] is None:
             axes = axes[0], axes[1]._replace(quantity=None)
         rests = None if job.rests is None else job.rests[:0]  # their number makes no difference
-        return native.make_once(MemberLoop, what, axes, (*self._of_one_member(), job.clock, rests))
+        examples = *self._of_one_member(), job.clock, rests
+        return native.make_once(MemberLoop, what, axes, examples, reads(*what, jax.tree.structure(examples)))
 
     def _of_one_member(self) -> tuple[Step, State, Numbers | None]:
         """The step of a member, its initial state and its time; what each member has of its own is a shape."""
@@ -128,11 +130,11 @@ class Engine:
                     given, programs = given._replace(step=step, plain=plain), [program]
                 interval = made.traced(*loop.shapes_of_interval(state, job.rests is not None), given)
                 made.equations = digest_or_reason(*programs, interval)
-            functions = {"equations of reduce": job.reduction, "equations of first": job.condition}
-            return {"equations of the step": made.equations} | {
-                name: None if f is None else native.make_once(_equations_of, f, (self.prepares,), examples)
-                for name, f in functions.items()
-            }
+            found: dict[str, str | None] = {"equations of the step": made.equations}
+            for name, f in {"equations of reduce": job.reduction, "equations of first": job.condition}.items():
+                read = reads(f, jax.tree.structure(examples))
+                found[name] = f and native.make_once(_equations_of, f, (self.prepares,), examples, read)
+            return found
 
     def _examined(self) -> tuple[str, int]:
         """What `MemberLoop.known` has of this engine."""

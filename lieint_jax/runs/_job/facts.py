@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from functools import cache, lru_cache
+from functools import cache
 from importlib.metadata import version
 from typing import Any, NamedTuple
 
@@ -14,6 +14,7 @@ from jax import Array
 from lieint_jax import dates
 from lieint_jax._checks import concrete
 from lieint_jax._version import __version__
+from lieint_jax._xla import remembered, rereading_jit
 from lieint_jax.runs._job.job import Job, MemberSummary, list_members
 from lieint_jax.runs._storage.leaves import Table
 from lieint_jax.types import State, Step, Trajectory, leaves_by_name, periods_of
@@ -142,7 +143,7 @@ def _saves(run: Any) -> str:
     return f"{len(run.t)} {what}, {how}"
 
 
-@lru_cache(16)
+@remembered(16)
 def compile_map(structure: Any, batch: bool, own_step: bool) -> Callable[..., Any]:
     """A function of step and state of this structure, compiled for all states of a run."""
 
@@ -152,7 +153,7 @@ def compile_map(structure: Any, batch: bool, own_step: bool) -> Callable[..., An
             function = jax.vmap(function, (0 if own_step else None, 0))
         return jax.vmap(function, (None, 0))(step, states)
 
-    return jax.jit(map_states)
+    return rereading_jit(map_states)
 
 
 def momentum(step: Step, state: State) -> Array:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Sequence
-from functools import lru_cache
 from platform import machine
 from typing import Any, NamedTuple
 
@@ -15,7 +14,7 @@ from jax.extend.core import ClosedJaxpr, jaxpr_as_fun
 from jax.typing import ArrayLike
 
 from lieint_jax import native
-from lieint_jax._xla import compiled
+from lieint_jax._xla import compiled, remembered, rereading_jit
 from lieint_jax.runs._job.devices import Numbers, Tree, on_host
 from lieint_jax.runs._march.clock import Clock, GridClock, UniformClock
 from lieint_jax.runs._march.driver import prepared
@@ -188,7 +187,7 @@ def compiler_options(platform: str | None = None) -> dict[str, str | int]:
     return {"xla_cpu_prefer_vector_width": 512} if on_x86 else {}
 
 
-@lru_cache(32)
+@remembered(32)
 def of_members(function: Reduction | None, axes: Axes) -> Callable[[Given, State, Numbers], Tree]:
     """A function of step and state at node n, compiled for all members: (given, states, n) ↦ its values.
 
@@ -203,7 +202,7 @@ def of_members(function: Reduction | None, axes: Axes) -> Callable[[Given, State
         found = native.march(lambda n, carry, _: (carry, of_member(*arguments)), (), rows=1)[1]
         return jax.tree.map(lambda x: x[0], found)
 
-    return jax.jit(jax.vmap(by_one_step, (axes, 0, None)), compiler_options=compiler_options())
+    return rereading_jit(jax.vmap(by_one_step, (axes, 0, None)), compiler_options=compiler_options())
 
 
 class MemberLoop:

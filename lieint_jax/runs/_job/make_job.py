@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import inspect
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any, Literal, cast
 
@@ -13,6 +14,7 @@ from jax import Array
 from numpy.typing import ArrayLike
 
 from lieint_jax import _checks
+from lieint_jax._xla import reads, rereading_jit
 from lieint_jax.native import make_once
 from lieint_jax.runs._job import devices
 from lieint_jax.runs._job.job import Job, chunk_members, list_members
@@ -267,12 +269,17 @@ def _check_job(job: Job, first: int) -> None:
         )
     step.system.check(state)  # the shapes, and the time of a driven system, are the same for all members
     if job.reduction is not None:
-        make_once(_check_result, job.reduction, (), (step, state))
+        _check_once(_check_result, job.reduction, step, state)
     if job.condition is not None:
-        make_once(_check_condition, job.condition, (), (step, state))
+        _check_once(_check_condition, job.condition, step, state)
 
 
-@jax.jit
+def _check_once(check: Callable[..., None], function: Reduction, *arguments: Any) -> None:
+    """Check what a function returns, unless it is known from an earlier run."""
+    make_once(check, function, (), arguments, reads(function, jax.tree.structure(arguments)))
+
+
+@rereading_jit
 def _defects(phase_space: PhaseSpace, states: State) -> Array:
     return jax.vmap(phase_space.defect)(states)
 

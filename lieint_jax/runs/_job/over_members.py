@@ -23,6 +23,8 @@ def over_members(function: Callable[..., Tree], in_axes: Axes = 0, mesh: Mesh | 
     `jax.distributed`, every process calls it with the same arguments and gets the same results. All devices run one
     program, so the last bits may depend on the number of devices; those of machine code in `run` do not.
 
+    It is compiled as by `jax.jit`: numbers that `function` reads from outside are those of its first call.
+
     LAPACK calls (`svd`, `qr`, `solve`, …) inside `function` need `jax.custom_batching.sequential_vmap`: where each core
     of a CPU is a device, XLA runs a batch of them on the threads that already wait for it, and hangs.
 
