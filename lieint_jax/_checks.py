@@ -267,6 +267,33 @@ def orbit(given: Callable[..., Any]) -> Callable[..., Any]:
     return given
 
 
+_ROTATING = re.compile(
+    r"(ITR[FS]|DTRF|IGS|IGB|TIR[FS]|GTOD|TDR|GRC|EFG|ECE?F|PEF|WGS|PZ|MOON_MEIAUE|MOON_ME|MOON_PA)(?![A-Z])"  # fixed in
+    r"|FIXED|IAU_|(EARTH|BODY|MOON|CENTER)[ _-]?FIXED"  # the Earth or another body
+    r"|(RSW|RTN|RIC|QSW|UVW|TNW|NTW|VNC|LVLH|VVLH)(?![A-Z])"  # that move along an orbit
+)
+
+
+def rotates(frame: object) -> bool:
+    """Whether axes of this name rotate: those of the Earth, of another body, or that move along an orbit.
+
+    Source: Registry of celestial body and orbit-relative reference frames, SANA, sanaregistry.org; CCSDS 502.0-B-3,
+    annex B.
+    """
+    name = frame.strip().upper() if isinstance(frame, str) else ""
+    return bool(_ROTATING.match(name)) and "INERTIAL" not in name
+
+
+def inertial(given: Callable[..., Any]) -> Callable[..., Any]:
+    """`given`, if it is no orbit whose axes are known to rotate, such as that of a file in ITRF."""
+    if rotates(frame := getattr(given, "frame", "")):
+        raise ValueError(
+            f"orbit must be in inertial axes, got {printable(frame)}, which rotate: transform its positions and "
+            "velocities, for example by astropy to GCRS or TEME"
+        )
+    return given
+
+
 def closed_form(owner: object, name: str, found: Callable[[], Array], by_autodiff: Callable[[], Array]) -> None:
     """Raise ValueError if a derivative that a user's class has in closed form is not that of its values.
 

@@ -128,7 +128,8 @@ class MeanElements:
         time = -math.remainder(M, 2 * math.pi) / n
         rates = orbits.secular_j2(orbits.EARTH_GM, a, e, i).rates
         node, periapsis = (x + float(rate) * time for x, rate in zip((node, periapsis), rates[:2], strict=True))
-        return orbits.secular_j2(orbits.EARTH_GM, a, e, i, node=node, periapsis=periapsis, periapsis_time=time)
+        found_orbit = orbits.secular_j2(orbits.EARTH_GM, a, e, i, node=node, periapsis=periapsis, periapsis_time=time)
+        return dataclasses.replace(found_orbit, frame="TEME")
 
 
 def read_tle(lines: str | Path | Sequence[str], *, satellite: str | int | None = None) -> MeanElements:

@@ -45,8 +45,8 @@ FLOORS = [  # from the roof down; a module imports only from floors below its ow
     ("types",),
     ("native",),
     ("_xla",),
-    ("_text",),
-    ("_checks", "_deprecated", "_discover", "_version", "dates"),
+    ("_text", "dates"),
+    ("_checks", "_deprecated", "_discover", "_version"),
 ]
 LEVEL = {name: level for level, floor in enumerate(FLOORS) for name in floor}
 CORE = {"jax", "numpy"}  # and the standard library: all that the numerical core needs, everything below `runs`
