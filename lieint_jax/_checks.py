@@ -61,6 +61,11 @@ def printable(value: object, most: int = 200, keep: str = "") -> str:
     return "".join(c if c.isprintable() or c in keep or unicodedata.category(c) == "Zs" else _escape(c) for c in cut)
 
 
+def path_text(path: object) -> str:
+    """The path of a file as text for a terminal: whoever wrote the file may have named it, too."""
+    return printable(str(path), 1000)
+
+
 def name_of(function: object) -> str:
     """The name of a function, or else of its class."""
     return getattr(function, "__name__", type(function).__name__)

@@ -8,8 +8,8 @@
 
 Days of UTC and UT1 have 86 400 seconds here: no leap second is counted, so a difference of two dates in UTC is wrong by
 the leap seconds between them (none since 2017), and 23:59:60 is the midnight that follows. Between TT, TAI, GPS and TDB
-dates are converted, TDB to 2 ms; for exact conversions from UTC give an astropy `Time` in the scale that is needed, such
-as `Time("2024-03-01").tdb`.
+dates are converted, TDB to 2 ms; for exact conversions from UTC give an astropy `Time` in the scale you need, such as
+`Time("2024-03-01").tdb`.
 """
 
 from __future__ import annotations
@@ -211,9 +211,7 @@ def epoch(
             f"the number {given} alone is no date: name what it counts, epoch(jd=…) for Julian dates, epoch(mjd=…) for "
             "modified ones, epoch(unix=…) for seconds since 1970"
         )
-    raise ValueError(
-        f"a date must be a text such as '2024-03-01T12:00:00 TDB', or as li.dates.epoch has, got {given!r}"
-    )
+    raise ValueError(f"a date must be a text such as '2024-03-01T12:00:00 TDB', a datetime or a Time, got {given!r}")
 
 
 _UNITS_OF_NUMPY = {"W": Fraction(7 * _DAY), "D": Fraction(_DAY), "h": Fraction(3600), "m": Fraction(60)}
@@ -315,8 +313,8 @@ def _from_text(date: str, scale: str | None) -> Epoch:
     found = start._later(total + (offset if sign == "-" else -offset))
     if seconds >= 60 and not _follows_leap_second(found):
         raise ValueError(
-            f"the date {date[:100]!r} does not exist: a second 60 is a leap second of UTC, 23:59:60 at the end of 27 days "
-            "from 1972-06-30 to 2016-12-31"
+            f"the date {date[:100]!r} does not exist: a second 60 is a leap second of UTC, 23:59:60 at the end of 27 "
+            "days from 1972-06-30 to 2016-12-31"
         )
     return found
 

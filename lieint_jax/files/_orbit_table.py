@@ -24,8 +24,8 @@ class OrbitTable(orbits.Table):
         times: the times of the entries in seconds since the epoch, (n,), the first being 0.
         entries: position and velocity of each, in km and km/s, (6n,); also as `positions` and `velocities`, (n, 3).
         epoch: the date of t = 0.
-        frame: the axes, as the file calls them, such as "EME2000", "TEME" or "Ecliptic of J2000.0". Of axes that rotate,
-            such as ITRF, reading warns, and `earth_field`, `atmosphere`, `eclipse` and gravity gradients refuse them.
+        frame: the axes, as the file calls them, such as "EME2000", "TEME" or "Ecliptic of J2000.0". A reader warns of
+            axes that rotate, such as ITRF; `earth_field`, `atmosphere`, `eclipse` and gravity gradients refuse them.
         center: the body at the origin.
         object: the name of what moves.
     """

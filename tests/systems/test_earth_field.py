@@ -132,7 +132,7 @@ TLE = """1 99999U 24001A   26060.50000000  .00000000  00000-0  00000-0 0    04
 
 
 def field_of_ppigrf_in_teme(orbit, moment, times):
-    """The field of ppigrf along an orbit in TEME, (times, 3): the Earth's axes are turned by GMST of the package sgp4."""
+    """The field of ppigrf along an orbit in TEME, (times, 3): the Earth turns by GMST of the package sgp4."""
     from sgp4.propagation import gstime
 
     start = orbits.julian_date(moment.year, moment.month, moment.day, moment.hour)
@@ -145,7 +145,7 @@ def field_of_ppigrf_in_teme(orbit, moment, times):
 
 @pytest.mark.parametrize("kind", ["table", "secular", "shared", "named"])
 def test_in_teme_the_earth_turns_by_mean_sidereal_time(kind):
-    """By the Earth rotation angle the field would be off by 98 nT. Here by 0.04: ppigrf interpolates in days, IGRF in years."""
+    """By the Earth rotation angle the field is off by 98 nT, here by 0.04: ppigrf interpolates in days, not years."""
     satellite, moment, times = li.files.read_tle(TLE), datetime.datetime(2026, 3, 1, 12), np.arange(0, 5700, 600.0)
     orbit = satellite.secular_j2() if kind == "secular" else satellite.orbit(6000.0)
     assert orbit.frame == "TEME"
@@ -207,7 +207,7 @@ def test_axes_that_rotate_are_refused_as_inertial():
     for use in uses(
         orbits.shared(li.files.OrbitTable(TIMES, ENTRIES, dates.epoch("2026-03-01"), "GTOD", "EARTH", "X"))
     ):
-        with pytest.raises(ValueError, match="inertial.*got GTOD"):
+        with pytest.raises(ValueError, match=r"inertial.*got GTOD"):
             use()
 
 
@@ -218,7 +218,7 @@ def test_the_field_needs_the_pole_and_the_center_of_the_earth():
             lambda frame: orbits.earth_field(LOW, "2026-03-01", radius=R, frame=frame),
             lambda frame: orbits.atmosphere(Framed(frame), 1e-12, 6e4, 4e5, radius=R),
         ):
-            with pytest.raises(ValueError, match="inertial.*got"):
+            with pytest.raises(ValueError, match=r"inertial.*got"):
                 make(frame)
     orbits.earth_field(Framed(center="Earth (399)"), "2026-03-01", radius=R)
     for center in ("MOON", "Sun (10)", "Earth-Moon Barycenter (3)"):
