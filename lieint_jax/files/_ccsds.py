@@ -120,16 +120,14 @@ def rows_of(segment: Segment, columns: Sequence[int], keys: Sequence[str]) -> Pa
 
 def _useable(segment: Segment, scale: str, first: dates.Epoch, times: np.ndarray) -> slice:
     """The rows that span the useable times of a segment: others are there for interpolation only."""
-    low, high = 0, len(times)
+    start, stop = times[0], times[-1]
     if "USEABLE_START_TIME" in segment.meta:
         start = _time_of(segment, "USEABLE_START_TIME", scale, first)
-        low = max(int(np.searchsorted(times, start, "right")) - 1, 0)
     if "USEABLE_STOP_TIME" in segment.meta:
         stop = _time_of(segment, "USEABLE_STOP_TIME", scale, first)
-        high = min(int(np.searchsorted(times, stop, "left")) + 1, high)
-    if low >= high:
-        segment.wrong("USEABLE_STOP_TIME", "after the first row and USEABLE_START_TIME")
-    return slice(low, high)
+    if not max(start, times[0]) <= min(stop, times[-1]):
+        segment.wrong("USEABLE_STOP_TIME", "after USEABLE_START_TIME, and both within the times of the rows")
+    return slice(max(int(np.searchsorted(times, start, "right")) - 1, 0), int(np.searchsorted(times, stop, "left")) + 1)
 
 
 def _time_of(segment: Segment, key: str, scale: str, first: dates.Epoch) -> float:
