@@ -126,7 +126,8 @@ def _useable(segment: Segment, scale: str, first: dates.Epoch, times: np.ndarray
     if "USEABLE_STOP_TIME" in segment.meta:
         stop = _time_of(segment, "USEABLE_STOP_TIME", scale, first)
     if not max(start, times[0]) <= min(stop, times[-1]):
-        segment.wrong("USEABLE_STOP_TIME", "after USEABLE_START_TIME, and both within the times of the rows")
+        key = "USEABLE_STOP_TIME" if "USEABLE_STOP_TIME" in segment.meta else "USEABLE_START_TIME"
+        segment.wrong(key, "a time of the rows, and USEABLE_START_TIME before USEABLE_STOP_TIME")
     return slice(max(int(np.searchsorted(times, start, "right")) - 1, 0), int(np.searchsorted(times, stop, "left")) + 1)
 
 
