@@ -236,7 +236,7 @@ def julian_dates(given: ArrayLike) -> np.ndarray:
     return found
 
 
-def _not_in_span(name: str, given: numbers.Real | float) -> str:
+def _not_in_span(name: str, given: Any) -> str:
     value = math.inf if abs(given) > 1e300 else float(given)  # an integer may be larger than any float
     first, end = _SPANS[name]
     what = {"jd": "a Julian date", "mjd": "a modified Julian date", "unix": "a number of Unix seconds"}[name]
@@ -251,12 +251,12 @@ def _from_count(name: str, value: Any, scale: str | None) -> Epoch:
         raise ValueError(f"{name} must be a number, got {value!r}")
     if name == "unix" and _scale(scale or "UTC") != "UTC":
         raise ValueError(f"Unix seconds are in UTC, and {scale} was asked for")
+    exact = Fraction(int(value)) if isinstance(value, numbers.Integral) else float(value)
     low, high = _SPANS[name]
-    if not low <= value < high:
-        raise ValueError(_not_in_span(name, value))
+    if not low <= exact < high:  # nor NaN
+        raise ValueError(_not_in_span(name, exact))
     start, unit = _COUNTS[name]
-    exact = Fraction(int(value)) if isinstance(value, numbers.Integral) else Fraction(float(value))
-    days = start + exact * unit
+    days = start + Fraction(exact) * unit
     day = math.floor(days)
     return Epoch(day, (days - day) * _DAY, _scale(scale or "UTC"))
 

@@ -177,9 +177,10 @@ def _numbers(
     wanted = [column for given in columns.values() for column in given]
     names, width, rows = _header(text, _rows(text, delimiter), wanted)
     places = [_place(text, names, width, column) for column in wanted]
-    for what, factor in factors.items() if names and len(names) == width else ():
-        stated = [names[_place(text, names, width, column)] for column in columns.get(what, [])]
-        check_stated_units(text, 0, stated, factor, _UNITS[what])
+    if names and len(names) == width:
+        for what, factor in factors.items():
+            stated = [names[_place(text, names, width, column)] for column in columns.get(what, [])]
+            check_stated_units(text, 0, stated, factor, _UNITS[what])
     labels = [f"{what} ({column})" for what, given in columns.items() for column in given]
     hint = "; the file has a column member: give member=" if member is None and names and "member" in names else ""
     lines, values = array("L"), array("d")

@@ -28,9 +28,9 @@ _FIXED = {"CENTER_NAME": ("EARTH",), "REF_FRAME": ("TEME",), "TIME_SYSTEM": ("UT
 _FIXED |= {"MEAN_ELEMENT_THEORY": ("SGP4", "SGP/SGP4"), "EPHEMERIS_TYPE": ("0", "2")}
 _FIXED |= {"GM": ("398600.8",)}  # km³/s², WGS 72, with which elements of SGP4 are made
 _OTHER = ("REF_FRAME_EPOCH", "BTERM", "AGOM")  # keys of other theories and axes, SGP4-XP among them
-_UNITS = dict.fromkeys(("INCLINATION", "RA_OF_ASC_NODE", "ARG_OF_PERICENTER", "MEAN_ANOMALY"), ("deg",))
-_UNITS |= {"MEAN_MOTION": ("rev/day",), "ECCENTRICITY": ("",), "BSTAR": ("1/ER",), "GM": ("km**3/s**2",)}
-_UNITS |= {"MEAN_MOTION_DOT": ("rev/day**2",), "MEAN_MOTION_DDOT": ("rev/day**3",)}
+_UNITS = {"INCLINATION": "deg", "RA_OF_ASC_NODE": "deg", "ARG_OF_PERICENTER": "deg", "MEAN_ANOMALY": "deg"}
+_UNITS |= {"MEAN_MOTION": "rev/day", "MEAN_MOTION_DOT": "rev/day**2", "MEAN_MOTION_DDOT": "rev/day**3"}
+_UNITS |= {"ECCENTRICITY": "", "BSTAR": "1/ER", "GM": "km**3/s**2"}
 _KEYS = (
     "MEAN_MOTION ECCENTRICITY INCLINATION RA_OF_ASC_NODE ARG_OF_PERICENTER MEAN_ANOMALY BSTAR MEAN_MOTION_DOT "
     "MEAN_MOTION_DDOT"
@@ -285,8 +285,8 @@ def _of_message(text: Text, message: Mapping[str, tuple[int, str]]) -> MeanEleme
 def _without_unit(text: Text, line: int, key: str, value: str) -> str:
     """The value of a key without its unit in brackets, which must be that of the standard."""
     found = re.fullmatch(r"(.*?)\s*\[(.*)\]\s*", value) if key in _UNITS else None
-    if found and found[2].strip().lower() not in [unit.lower() for unit in _UNITS[key]]:
-        text.fail(line, f"the unit of {key} must be {_UNITS[key][0]}, got {_checks.printable(found[2])!r}")
+    if found and found[2].strip().lower() != _UNITS[key].lower():
+        text.fail(line, f"the unit of {key} must be {_UNITS[key]}, got {_checks.printable(found[2])!r}")
     return found[1].strip() if found else value
 
 
