@@ -24,7 +24,7 @@ EARTH_RATE = 7.292115e-5  # the rotation in rad/s, IERS Conventions 2010
 J2000 = 2451545.0  # the Julian date of 2000 January 1, 12 h
 
 _SIDEREAL_RATE = 7.2921158553e-5  # rad/s, of mean sidereal time in 2000
-_OF_DATE = re.compile(r"(TEME|TOD|MOD)(?![A-Z])|TEMEOF(DATE|EPOCH)|(TRUE|MEAN) .*EQUINOX OF DATE")  # axes that precess
+_OF_DATE = re.compile(r"(TEME|TOD|MOD)(?![A-Z])|TEMEOF(DATE|EPOCH)|(TRUE|MEAN) .*EQUINOX OF DATE")  # with the equinox
 _OTHER_POLE = re.compile(r"ECLIP|GALACTIC|B1950|FK4|NODE|MCI|MOON|(MOE|TOE)(?![A-Z])")  # or an epoch that is not named
 _ORDINAL = 1721424.5  # the Julian date of day 0 of Python's count
 
