@@ -136,7 +136,7 @@ def test_days_and_months_of_numpy_and_what_is_no_date():
     assert epoch(np.datetime64("2024-03")) == epoch(np.datetime64("2024-03-01T00:00", "25s")) == epoch("2024-03-01")
     assert epoch(np.datetime64("2024-02-29", "W")) == epoch("2024-02-29")
     for wrong, words in (
-        (np.datetime64("NaT"), "got NaT of numpy"),
+        (np.datetime64("NaT", "s"), "got NaT of numpy"),
         (np.datetime64(10**15, "D"), "a year from 1 to 9999"),
         (True, "a date must be a text"),
         (b"2024-03-01", "a date must be a text"),

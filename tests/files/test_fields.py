@@ -237,7 +237,6 @@ FIELDS = [
     ("URDF", "rpy", 'rpy="0 0 0"', 'rpy="0 0 1.5707963267948966"', moments(1.1, 1.0, 1.2)),
     ("URDF", "quat_xyzw", 'rpy="0 0 0"', 'quat_xyzw="0 0 0 1"', "<origin> must have xyz and rpy only, got quat_xyzw"),
     ("MJCF", "quat", "mass=", 'quat="1 0 0 1" mass=', moments(1.1, 1.0, 1.2)),
-    ("MJCF", "coordinate", "<worldbody>", '<compiler coordinate="global"/><worldbody>', "mujoco cannot compile it"),
 ]
 
 
@@ -302,3 +301,13 @@ def test_segments_that_overlap_beyond_their_useable_times_are_joined(tmp_path):
     plain = tmp_path / "plain"
     plain.write_text(OEM)
     same(files.read_oem(path), files.read_oem(plain))
+
+
+@pytest.mark.parametrize("option", ['coordinate="global"', 'fusestatic="true"'])
+def test_options_of_mujoco_that_change_inertias_are_left_to_it(option, tmp_path):
+    """Global coordinates are refused by MuJoCo; a body that it fuses with the world has no inertia of its own."""
+    pytest.importorskip("mujoco")
+    path = tmp_path / "a.xml"
+    path.write_text(BODIES["a.xml"].replace("<worldbody>", f"<compiler {option}/><worldbody>"))
+    with pytest.raises(ValueError, match="mujoco cannot compile it|body must be the name of one with an inertia"):
+        files.read_mjcf_inertia(path, "a")
