@@ -309,5 +309,5 @@ def test_options_of_mujoco_that_change_inertias_are_left_to_it(option, tmp_path)
     pytest.importorskip("mujoco")
     path = tmp_path / "a.xml"
     path.write_text(BODIES["a.xml"].replace("<worldbody>", f"<compiler {option}/><worldbody>"))
-    with pytest.raises(ValueError, match="mujoco cannot compile it|body must be the name of one with an inertia"):
+    with pytest.raises(ValueError, match=r"mujoco cannot compile it|body must be the name of one with an inertia"):
         files.read_mjcf_inertia(path, "a")
