@@ -67,6 +67,11 @@ def printable(value: object, most: int = 200, keep: str = "") -> str:
     return "".join(c if c.isprintable() or c in keep or unicodedata.category(c) == "Zs" else _escape(c) for c in cut)
 
 
+def path_text(path: object) -> str:
+    """The path of a file as text for a terminal: whoever wrote the file may have named it, too."""
+    return printable(str(path), 1000)
+
+
 def name_of(function: object) -> str:
     """The name of a function, or else of its class."""
     return getattr(function, "__name__", type(function).__name__)
@@ -321,6 +326,33 @@ def function(name: str, given: Callable[..., object], of: str, shape: tuple[int,
 def orbit(given: Callable[..., Any]) -> Callable[..., Any]:
     """`given`, if it is a function t ↦ (position, velocity)."""
     function("orbit", lambda t: given(t)[0], "the time t, with (position, velocity)", (3,), jnp.zeros(()))
+    return given
+
+
+_ROTATING = re.compile(
+    r"(ITR[FS]|DTRF|IGS|IGB|TIR[FS]|GTOD|TDR|GRC|EFG|ECE?F|PEF|WGS|PZ|MOON_MEIAUE|MOON_ME|MOON_PA)(?![A-Z])"  # fixed in
+    r"|FIXED|IAU_|(EARTH|BODY|MOON|CENTER)[ _-]?FIXED"  # the Earth or another body
+    r"|(RSW|RTN|RIC|QSW|UVW|TNW|NTW|VNC|LVLH|VVLH)(?![A-Z])"  # that move along an orbit
+)
+
+
+def rotates(frame: object) -> bool:
+    """Whether axes of this name rotate: those of the Earth, of another body, or that move along an orbit.
+
+    Source: Registry of celestial body and orbit-relative reference frames, SANA, sanaregistry.org; CCSDS 502.0-B-3,
+    annex B.
+    """
+    name = frame.strip().upper() if isinstance(frame, str) else ""
+    return bool(_ROTATING.match(name)) and "INERTIAL" not in name
+
+
+def inertial(given: Callable[..., Any]) -> Callable[..., Any]:
+    """`given`, if it is no orbit whose axes are known to rotate, such as that of a file in ITRF."""
+    if rotates(frame := getattr(given, "frame", "")):
+        raise ValueError(
+            f"orbit must be in inertial axes, got {printable(frame)}, which rotate: transform its positions and "
+            "velocities, for example by astropy to GCRS or TEME"
+        )
     return given
 
 

@@ -13,19 +13,20 @@ from typing import NoReturn
 from lieint_jax import _checks
 
 _BYTES = 2**28  # the most of a file: 256 MiB
-_NUMBER = re.compile(r"[+-]?([0-9]+\.?[0-9]*|\.[0-9]+)([eEdD][+-]?[0-9]+)?")
+_EXPONENT = r"([eEdD]|\*\^)"  # of Fortran and of Mathematica, too
+_NUMBER = re.compile(rf"[+-]?([0-9]+\.?[0-9]*|\.[0-9]+)({_EXPONENT}[+-]?[0-9]+)?")
 
 
 class Text:
     """The lines of a text file, or of a text in memory, and the errors that name file and line.
 
     Attributes:
-        name: what messages call it: the path, or a word for a text in memory.
+        name: what messages call it: the path, or a word for a text in memory, as text for a terminal.
         lines: its lines without their ends, the first being number 1 in messages.
     """
 
     def __init__(self, name: str, lines: list[str]) -> None:
-        self.name, self.lines = name, lines
+        self.name, self.lines = _checks.path_text(name), lines
 
     def fail(self, line: int, what: str) -> NoReturn:
         """Raise the ValueError that `line`, counted from 1, is wrong: "NAME, line 3: what"; 0 means the whole file."""
@@ -33,10 +34,10 @@ class Text:
         raise ValueError(f"{place}: {what}")
 
     def number(self, line: int, word: str, what: str) -> float:
-        """The finite number of a word, with an exponent of e or D; `what` names it in the message."""
+        """The finite number of a word, with an exponent of e, D or *^; `what` names it in the message."""
         if not _NUMBER.fullmatch(word.strip()):
             self.fail(line, f"{what} must be a finite number, got {_checks.printable(word)!r}")
-        value = float(re.sub("[dD]", "e", word.strip()))
+        value = float(re.sub(_EXPONENT, "e", word.strip()))
         if not math.isfinite(value):
             self.fail(line, f"{what} must be a finite number, got {_checks.printable(word)!r}")
         return value
@@ -59,16 +60,16 @@ def read_text(path: str | Path) -> Text:
 
 def read_bytes(path: str | Path, head: int | None = None) -> bytes:
     """The bytes of an ordinary file, or its first `head` ones, unpacked if it ends in .gz; errors as in `read_text`."""
-    place = Path(path)
+    place, shown = Path(path), _checks.path_text(path)
     if not place.is_file():
-        raise ValueError(f"there is no file {place}" if not place.exists() else f"{place} is no ordinary file")
+        raise ValueError(f"there is no file {shown}" if not place.exists() else f"{shown} is no ordinary file")
     try:
         with gzip.open(place) if place.suffix == ".gz" else place.open("rb") as stream:
             data = stream.read(_BYTES + 1 if head is None else head)
     except (gzip.BadGzipFile, EOFError, zlib.error) as error:
-        raise ValueError(f"{place} is damaged, its compressed data cannot be read: {error}") from error
+        raise ValueError(f"{shown} is damaged, its compressed data cannot be read: {error}") from error
     if len(data) > _BYTES:
-        raise ValueError(f"{place} has more than {_checks.spoken_size(_BYTES)}, too much for a file of text")
+        raise ValueError(f"{shown} has more than {_checks.spoken_size(_BYTES)}, too much for a file of text")
     return data
 
 
@@ -77,7 +78,7 @@ def decode(name: str, data: bytes) -> Text:
     try:
         text = data.decode("utf-16" if data[:2] in (b"\xff\xfe", b"\xfe\xff") else "utf-8-sig")
     except UnicodeDecodeError as error:
-        raise ValueError(f"{name} is not UTF-8 text: {error}") from error
+        raise ValueError(f"{_checks.path_text(name)} is not UTF-8 text: {error}") from error
     if "\0" in text:
-        raise ValueError(f"{name} is no text: it has a null character")
+        raise ValueError(f"{_checks.path_text(name)} is no text: it has a null character")
     return Text(name, re.split(r"\r\n|\n|\r", text))

@@ -7,14 +7,15 @@ about e, so that v ↦ q v q* maps components in B to components in A. If B is t
 from __future__ import annotations
 
 import re
+import warnings
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from lieint_jax import dates
-from lieint_jax._checks import PRINTED, all_plain
+from lieint_jax import _checks, dates
+from lieint_jax._checks import PRINTED
 from lieint_jax._text import read_text
 from lieint_jax.files import _ccsds
 from lieint_jax.files._signs import join_signs
@@ -65,12 +66,18 @@ def read_aem(path: str | Path, *, segment: int | None = None) -> Attitudes:
         ValueError: not such a message, cut short, of a spinning satellite (SPIN), rows that do not increase in time,
             quaternions that are not of norm 1, or segments that cannot be joined.
 
+    Warns:
+        UserWarning: the axes of space rotate, such as ITRF-93.
+
     Source: CCSDS 504.0-B-1, Attitude Data Messages, 2008, and 504.0-B-2, 2024, section 4.
     """
     text = read_text(path)
     version, segments = _ccsds.read_segments(text, "AEM")
     part = _ccsds.one_part(segments, segment, lambda found: _attitudes(found, version), _same)
     space, body, name = (part.facts[key] for key in ("SPACE", "BODY", "OBJECT_NAME"))
+    if _checks.rotates(space):
+        axes = f"the axes {_checks.printable(space)} rotate, and attitudes and rates are with respect to them"
+        warnings.warn(f"{text.name}: {axes}; the space of a run is inertial", stacklevel=2)
     q, rates = np.split(part.values, [4], axis=1)
     return Attitudes(part.epoch, part.times, join_signs(q), space, body, name, rates if rates.shape[1] else None)
 
@@ -213,7 +220,7 @@ def _times_and_attitudes(
         return run.times, run.attitudes
     if not isinstance(run, Run):
         times, attitudes = run
-        all_plain(times=times, attitudes=attitudes)
+        _checks.all_plain(times=times, attitudes=attitudes)
         return times, attitudes
     if run.members is not None:
         raise ValueError("a message is of one body: give one member, run.member(k)")

@@ -92,6 +92,8 @@ def rows_of(segment: Segment, columns: Sequence[int], keys: Sequence[str]) -> Pa
     text, scale = segment.text, segment.get("TIME_SYSTEM").upper()
     if scale not in dates.SCALES:
         segment.wrong("TIME_SYSTEM", f"one of {', '.join(dates.SCALES)}")
+    if "REF_FRAME_EPOCH" in segment.meta:
+        segment.wrong("REF_FRAME_EPOCH", "left out: axes of date are those of each moment here")
     if not segment.rows:
         text.fail(segment.line, "the segment that begins here has no rows: the file is cut short")
     moments, values = [], []
@@ -106,12 +108,32 @@ def rows_of(segment: Segment, columns: Sequence[int], keys: Sequence[str]) -> Pa
     for key, end, sign in (("START_TIME", times[0], -1), ("STOP_TIME", times[-1], 1)):
         if key in segment.meta:
             line = segment.meta[key][0]
-            missing = sign * (moment(text, line, segment.get(key).removesuffix("Z"), scale) - moments[0] - end)
+            missing = sign * (_time_of(segment, key, scale, moments[0]) - end)
             if missing > max(step, 1e-3):
                 what = f"the rows miss {missing:g} s at {key}: the file may be cut short"
                 warnings.warn(f"{text.name}, line {line}: {what}", stacklevel=4)
     facts = {key: segment.get(key) for key in keys} | {"TIME_SYSTEM": scale}
-    return Part(facts, moments[0], times, np.array(values))
+    kept = _useable(segment, scale, moments[0], times)
+    segment.rows = segment.rows[kept]
+    return Part(facts, moments[kept][0], times[kept] - times[kept][0], np.array(values)[kept])
+
+
+def _useable(segment: Segment, scale: str, first: dates.Epoch, times: np.ndarray) -> slice:
+    """The rows that span the useable times of a segment: others are there for interpolation only."""
+    start, stop = times[0], times[-1]
+    if "USEABLE_START_TIME" in segment.meta:
+        start = _time_of(segment, "USEABLE_START_TIME", scale, first)
+    if "USEABLE_STOP_TIME" in segment.meta:
+        stop = _time_of(segment, "USEABLE_STOP_TIME", scale, first)
+    if not max(start, times[0]) <= min(stop, times[-1]):
+        key = "USEABLE_STOP_TIME" if "USEABLE_STOP_TIME" in segment.meta else "USEABLE_START_TIME"
+        segment.wrong(key, "a time of the rows, and USEABLE_START_TIME before USEABLE_STOP_TIME")
+    return slice(max(int(np.searchsorted(times, start, "right")) - 1, 0), int(np.searchsorted(times, stop, "left")) + 1)
+
+
+def _time_of(segment: Segment, key: str, scale: str, first: dates.Epoch) -> float:
+    """The seconds from the first row to the time that a key of the metadata gives."""
+    return moment(segment.text, segment.meta[key][0], segment.get(key).removesuffix("Z"), scale) - first
 
 
 def moment(text: Text, line: int, word: str, scale: str | None) -> dates.Epoch:

@@ -23,6 +23,7 @@ from lieint_jax.capabilities import AbstractRotatingBody
 from lieint_jax.dates import Epoch
 from lieint_jax.files import _ccsds
 from lieint_jax.files._signs import join_signs
+from lieint_jax.files._stated_units import check_stated_units
 from lieint_jax.groups import so3
 from lieint_jax.runs import Run
 from lieint_jax.types import State, Step
@@ -88,9 +89,9 @@ def read_csv_log(
         A `Log` of arrays in double precision.
 
     Raises:
-        ValueError: what is wrong with the file, with its line: no such column, a cell that is empty, NaN or no number,
-            a decimal comma, a row of another length, times that do not increase, a quaternion whose norm is off 1 by
-            more than 1e-4, no rows.
+        ValueError: what is wrong with the file, with its line: no such column, one whose name ends in another unit than
+            that of `units`, such as [deg/s], a cell that is empty, NaN or no number, a decimal comma, a row of another
+            length, times that do not increase, a quaternion whose norm is off 1 by more than 1e-4, no rows.
 
     Warns:
         RuntimeWarning: quaternions with few digits, off unit length by more than 1e-6, are normalized.
@@ -99,6 +100,8 @@ def read_csv_log(
     columns = {what: _columns(what, given) for what, given in asked.items() if given is not None}
     if not {"rates", "attitudes"} & set(columns):
         raise ValueError("give the columns of rates, of attitudes, or of both")
+    if units is not None and not isinstance(units, Mapping):
+        raise ValueError(f"units must be as in {{'time': 's', 'rates': 'deg/s'}}, got {_checks.printable(units)}")
     given = {"time": "s", "rates": "rad/s"} | dict(units or {})
     known = [_UNITS[_checks.choice("a key of units", what, _UNITS)] for what in given]
     factors = [
@@ -108,7 +111,7 @@ def read_csv_log(
     _checks.choice("frame", frame, get_args(Frame))
     clock = _Clock(None if epoch is None else dates.epoch(epoch), factors[0], "time" in (units or {}))
     text = read_text(path)
-    lines, values = _numbers(text, delimiter, columns, clock, member)
+    lines, values = _numbers(text, delimiter, columns, clock, member, dict(zip(given, factors, strict=True)))
     ends = np.cumsum([len(given) for given in columns.values()])
     found = dict(zip(columns, np.split(values, ends[:-1], axis=1), strict=True))
     q = found.get("attitudes")
@@ -163,12 +166,21 @@ class _Clock:
 
 
 def _numbers(
-    text: Text, delimiter: str | None, columns: dict[str, list[Column]], clock: _Clock, member: int | None
+    text: Text,
+    delimiter: str | None,
+    columns: dict[str, list[Column]],
+    clock: _Clock,
+    member: int | None,
+    factors: Mapping[str, float],
 ) -> tuple[Sequence[int], np.ndarray]:
     """The lines of the rows, and the numbers in the columns, (rows, columns), times in seconds."""
     wanted = [column for given in columns.values() for column in given]
     names, width, rows = _header(text, _rows(text, delimiter), wanted)
     places = [_place(text, names, width, column) for column in wanted]
+    if names and len(names) == width:
+        for what, factor in factors.items():
+            stated = [names[_place(text, names, width, column)] for column in columns.get(what, [])]
+            check_stated_units(text, 0, stated, factor, _UNITS[what])
     labels = [f"{what} ({column})" for what, given in columns.items() for column in given]
     hint = "; the file has a column member: give member=" if member is None and names and "member" in names else ""
     lines, values = array("L"), array("d")

@@ -10,7 +10,7 @@ from typing import NamedTuple
 import numpy as np
 
 from lieint_jax import shapes
-from lieint_jax._checks import printable
+from lieint_jax._checks import path_text, printable
 from lieint_jax._text import read_text
 from lieint_jax.files._aem import read_aem
 from lieint_jax.files._horizons import read_horizons
@@ -19,6 +19,7 @@ from lieint_jax.files._light_curves import read_light_curves
 from lieint_jax.files._molecules import read_molecules
 from lieint_jax.files._oem import read_oem
 from lieint_jax.files._orbit_table import OrbitTable
+from lieint_jax.files._shapes import read_shape
 from lieint_jax.files._tle import MeanElements, read_omm, read_tle
 
 __all__ = ["describe"]
@@ -50,14 +51,15 @@ def describe(path: str | PathLike[str]) -> str:
     if form not in FORMATS:
         known = ", ".join(FORMATS)
         raise ValueError(
-            f"{path} has none of the formats {known}; lieint run runs a scenario, a .toml, and lieint info describes "
-            "the results"
+            f"{path_text(path)} has none of the formats {known}; lieint run runs a scenario, a .toml, and lieint info "
+            "describes the results"
         )
     what, contents, reader, key = FORMATS[form]
-    lines = [f"{path}: {what}", *contents(path), "in Python: li.files." + reader.replace("{}", f'"{path.name}"')]
+    name = path_text(path.name)
+    lines = [f"{path_text(path)}: {what}", *contents(path), "in Python: li.files." + reader.replace("{}", f'"{name}"')]
     if key is not None:
-        name, more, kinds = key
-        lines.append(f'in a scenario of the kind {kinds}: {name} = {{file = "{path.name}"{more}}}')
+        which, more, kinds = key
+        lines.append(f'in a scenario of the kind {kinds}: {which} = {{file = "{name}"{more}}}')
     return "\n  ".join(lines)
 
 
@@ -91,12 +93,13 @@ def _elements(read: Callable[[Path], MeanElements]) -> Callable[[Path], list[str
 
 
 def _surface(path: Path) -> list[str]:
-    corners, faces = shapes.surface(path)
-    body = shapes.mesh(corners, faces, density=1.0)
+    corners, _ = shapes.surface(path)
+    body = read_shape(path, density=1.0)
     moments = np.asarray(body.principal_axes()[0]) / float(body.mass)
+    assert body.triangles is not None
     size = " × ".join(f"{x:.4g}" for x in np.ptp(corners, axis=0))
     return [
-        f"{len(corners)} vertices, {len(faces)} triangles, {size}, volume {float(body.mass):.6g}",
+        f"{len(corners)} vertices, {len(body.triangles)} triangles, {size}, volume {float(body.mass):.6g}",
         f"principal moments over the mass {moments[0]:.6g}, {moments[1]:.6g}, {moments[2]:.6g}, in the file's unit²",
     ]
 

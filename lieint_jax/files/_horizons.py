@@ -13,9 +13,11 @@ from lieint_jax import _checks, dates
 from lieint_jax._text import Text, read_text
 from lieint_jax.files import _ccsds
 from lieint_jax.files._orbit_table import OrbitTable, orbit_table
+from lieint_jax.files._stated_units import check_stated_units
 
 _LENGTHS = {"km": 1.0, "m": 1e-3, "au": 149597870.7}  # km
 _TIMES = {"s": 1.0, "min": 60.0, "h": 3600.0, "d": 86400.0}  # s
+_SPEEDS = {f"{x}/{t}": _LENGTHS[x] / _TIMES[t] for x, t in (("km", "s"), ("m", "s"), ("au", "d"), ("km", "d"))}
 _MONTHS = ("Jan", "Feb", "Mar", "Apr", "May", "Jun", "Jul", "Aug", "Sep", "Oct", "Nov", "Dec")
 _DATE = re.compile(r"A\.D\.\s+(\d{4})-([A-Z][a-z]{2})-(\d{2})(?:\s+(\d{2}:\d{2}(?::\d{2}(?:\.\d*)?)?))?(?:\s+[A-Z]+)?")
 _LABELS = re.compile(r"\b[A-Z]+\s*=")
@@ -28,7 +30,7 @@ def read_horizons(path: str | Path) -> OrbitTable:
     """The orbit of a vector table of JPL Horizons, with or without CSV, in km and s.
 
     Units, axes, center and target are read from its header, the entries between $$SOE and $$EOE. The table must be of
-    geometric states with positions and velocities (vector table 2 or 3).
+    geometric states from the center of a body, with positions and velocities (vector table 2 or 3).
 
     Args:
         path: of the file; packed if its name ends in .gz.
@@ -37,7 +39,8 @@ def read_horizons(path: str | Path) -> OrbitTable:
         An `OrbitTable`, a function t ↦ (position, velocity).
 
     Raises:
-        ValueError: no such table, units other than KM-S, KM-D and AU-D, no velocities, or a table that is cut short.
+        ValueError: no such table, units other than KM-S, KM-D and AU-D, a center that is a site on a body, no
+            velocities, or a table that is cut short.
 
     Source: the manual of JPL Horizons, ssd.jpl.nasa.gov/horizons/manual.html.
     """
@@ -63,10 +66,17 @@ def read_horizons(path: str | Path) -> OrbitTable:
     line, word = header.get("output type", (0, "GEOMETRIC"))
     if "GEOMETRIC" not in word.upper():
         text.fail(line, f"the states must be geometric, without aberration, got {_checks.printable(word)!r}")
+    line, word = header.get("center-site name", (0, "BODY CENTER"))
+    if word.upper() != "BODY CENTER":
+        text.fail(
+            line, f"the center must be that of a body (Center-site name BODY CENTER), got {_checks.printable(word)!r}"
+        )
     _check_columns(text, stripped, start)
     lines, moments, states = _records(text, stripped, start + 1, stop, scale)
     axes = "coordinate systm" if "coordinate systm" in header else "reference frame"  # of older and newer files
     names = [_field(text, header, key)[1] for key in (axes, "center body name", "target body name")]
+    if "B1950" in header.get("reference frame", (0, ""))[1].upper() and "B1950" not in names[0]:
+        names[0] += ", B1950"  # the epoch to which the axes of an older file refer
     times = _ccsds.elapsed(text, lines, moments)
     values = np.array(states) * np.repeat([_LENGTHS[length], _LENGTHS[length] / _TIMES[unit]], 3)
     return orbit_table(text, moments[0], times, values, names)
@@ -171,6 +181,12 @@ def read_ephemeris_csv(
     if missing:
         text.fail(rows[0][0], f"there is no column {missing[0]!r}; the columns are {_checks.printable(names)}")
     at, *columns = (names.index(name) for name in (time, *positions, *velocities))
+    for columns_of, factor, known in (
+        (positions, length, _LENGTHS),
+        (velocities, speed, _SPEEDS),
+        ([time], unit, _TIMES),
+    ):
+        check_stated_units(text, rows[0][0], list(columns_of), factor, known)
     lines, moments, states = [], [], []
     for k, line in rows[1:]:
         cells = _cells(text, k, line, delimiter)

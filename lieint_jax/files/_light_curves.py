@@ -10,7 +10,7 @@ from pathlib import Path
 
 import numpy as np
 
-from lieint_jax import _checks
+from lieint_jax import _checks, dates
 from lieint_jax._text import Text, read_text
 
 __all__ = ["LightCurve", "read_light_curve", "read_light_curves"]
@@ -87,10 +87,19 @@ def read_light_curve(path: str | Path, *, number: int | None = None) -> LightCur
     """
     found = read_light_curves(path)
     if number is None and len(found) > 1:
-        raise ValueError(f"{path} has {len(found)} light curves: give number=, from 0, or call read_light_curves")
+        raise ValueError(
+            f"{_checks.path_text(path)} has {len(found)} light curves: give number=, from 0, or call read_light_curves"
+        )
     if not 0 <= (number or 0) < len(found):
-        raise ValueError(f"number must be from 0 to {len(found) - 1} for {path}, got {number}")
+        raise ValueError(f"number must be from 0 to {len(found) - 1} for {_checks.path_text(path)}, got {number}")
     return found[number or 0]
+
+
+def _check_date(text: Text, number: int, date: float) -> None:
+    try:
+        dates.julian_dates(date)
+    except ValueError as error:
+        text.fail(number, str(error))
 
 
 def _damit(text: Text, at: list[int], calibrated: bool, metadata: dict[str, str]) -> LightCurve:
@@ -101,6 +110,7 @@ def _damit(text: Text, at: list[int], calibrated: bool, metadata: dict[str, str]
         if len(words) != 8:
             text.fail(number, f"a point needs 8 numbers (JD, intensity, Sun, Earth), got {len(words)}")
         row = text.numbers(number, words, "a point")
+        _check_date(text, number, row[0])
         if not row[1] > 0 or not any(row[2:5]) or not any(row[5:8]):
             text.fail(number, f"the intensity must be positive, and no vector 0, got {row[1:]}")
         rows.append(row)
@@ -196,7 +206,9 @@ def _alcdef_row(text: Text, number: int, value: str, metadata: dict[str, str]) -
     words = [word.strip() for word in value.split(_DELIMITERS[name])]
     if len(words) < 2:
         text.fail(number, f"DATA needs a date and a magnitude, got {_checks.printable(value)!r}")
-    return text.numbers(number, [word for word in words[:3] if word], "DATA")
+    row = text.numbers(number, [word for word in words[:3] if word], "DATA")
+    _check_date(text, number, row[0])
+    return row
 
 
 def _alcdef_curve(text: Text, since: int, rows: list[list[float]], metadata: dict[str, str]) -> LightCurve:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import itertools
 import re
 from collections.abc import Iterator, Mapping
 from pathlib import Path
@@ -29,6 +30,15 @@ Mt - Ds - Rg - Cn - Nh - Fl - Mc - Lv - Ts - Og -
 """  # standard atomic weights, IUPAC 2021, abridged, of the elements that have one; of technetium a mass number
 _SYMBOLS, _NUMBERS = _WEIGHTS.split()[::2], _WEIGHTS.split()[1::2]
 _MASSES = {symbol: float(mass) for symbol, mass in zip(_SYMBOLS, _NUMBERS, strict=True) if mass != "-"}
+_MASSES |= {"D": 2.0141, "T": 3.0160}  # the isotopes of hydrogen that have symbols
+_RADII_TO_XENON = """
+.31 .28 1.28 .96 .84 .76 .71 .66 .57 .58 1.66 1.41 1.21 1.11 1.07 1.05 1.02 1.06 2.03 1.76 1.70 1.60 1.53 1.39 1.61 1.52
+1.50 1.24 1.32 1.22 1.22 1.20 1.19 1.20 1.20 1.16 2.20 1.95 1.90 1.75 1.64 1.54 1.47 1.46 1.42 1.39 1.45 1.44 1.42 1.39
+1.39 1.38 1.39 1.40
+"""  # of covalent bonds in Å, Cordero et al. 2008, Dalton Trans. 2832
+_RADII = {symbol: float(radius) for symbol, radius in zip(_SYMBOLS, _RADII_TO_XENON.split(), strict=False)}
+_SMALL, _LARGE = 0.31, 1.5  # radii of hydrogen's isotopes and of sites without mass, and of the elements beyond xenon
+_BOND = 1.3  # sums of radii below which atoms are bonded: a bond has 1, a hydrogen bond 1.6
 _LIGHT = frozenset(_SYMBOLS[:54])  # to xenon
 _STRAIGHT = 1e-6  # of the largest second moment: files have three digits after the point
 
@@ -129,7 +139,9 @@ def read_molecule(path: str | Path, *, masses: Mapping[str, float] | None = None
     """
     found = read_molecules(path, masses=masses, scale=scale)
     if _ending(path) == ".xyz" and len(found) > 1:
-        raise ValueError(f"{path} has {len(found)} frames: read_molecules returns a molecule of each")
+        raise ValueError(
+            f"{_checks.path_text(path)} has {len(found)} frames: read_molecules returns a molecule of each"
+        )
     return Atoms(
         sum((each.names for each in found), ()),
         sum((each.elements for each in found), ()),
@@ -141,13 +153,15 @@ def read_molecule(path: str | Path, *, masses: Mapping[str, float] | None = None
 def read_molecules(path: str | Path, *, masses: Mapping[str, float] | None = None, scale: float = 1.0) -> list[Atoms]:
     """The molecules of a file: each residue of a PDB, each frame of an xyz.
 
-    Of a PDB the first model is read, and of atoms with alternate locations the first one. An element that the file does
-    not state is taken from the columns of the atom's name.
+    Of a PDB the first model is read, and of atoms with alternate locations the first one. A residue whose names repeat
+    without a bond from one turn to the next is as many molecules, such as waters that all have one number. An element
+    that the file does not state is taken from the columns of the atom's name. Of extended xyz the columns are those of
+    Properties, and masses are read; what follows the atoms in files of QM9 is skipped.
 
     Args:
         path: a path that ends in .xyz, .pdb or .ent, or in one of these and .gz.
         masses: in u, by names of atoms or symbols of elements, in place of the standard atomic weights: {"MW":
-            0.0} for a site without mass, {"H": 2.014} for heavy water.
+            0.0} for a site without mass, {"H": 2.014} for heavy water; D and T are known.
         scale: the factor from Å, the unit of these files, to your unit of length: 0.1 for nm.
 
     Raises:
@@ -155,9 +169,11 @@ def read_molecules(path: str | Path, *, masses: Mapping[str, float] | None = Non
     """
     ending, factor = _ending(path), float(_checks.positive("scale", scale))
     if ending not in (".xyz", ".pdb", ".ent"):
-        raise ValueError(f"molecules are read from .xyz, .pdb and .ent, each also with .gz, got {path}")
+        raise ValueError(
+            f"molecules are read from .xyz, .pdb and .ent, each also with .gz, got {_checks.path_text(path)}"
+        )
     text = read_text(path)
-    groups = list(_xyz_frames(text) if ending == ".xyz" else _pdb_residues(text))
+    groups = list(_xyz_frames(text) if ending == ".xyz" else _pdb_molecules(text))
     if not groups:
         text.fail(0, "there are no atoms")
     return [_atoms(text, rows, masses or {}, factor) for rows in groups]
@@ -168,6 +184,7 @@ class _Row(NamedTuple):
     name: str
     element: str
     position: list[float]
+    mass: float | None = None  # in u, where the file has it
 
 
 def _ending(path: str | Path) -> str:
@@ -176,8 +193,8 @@ def _ending(path: str | Path) -> str:
 
 def _atoms(text: Text, rows: list[_Row], masses: Mapping[str, float], scale: float) -> Atoms:
     weights = []
-    for line, name, element, _ in rows:
-        mass = masses.get(name, masses.get(element, _MASSES.get(element)))
+    for line, name, element, _, own in rows:
+        mass = masses.get(name, masses.get(element, _MASSES.get(element) if own is None else own))
         if mass is None:
             text.fail(
                 line, f"no mass is known of {_checks.printable(element or name)!r}: give it as masses={{NAME: mass}}"
@@ -185,7 +202,7 @@ def _atoms(text: Text, rows: list[_Row], masses: Mapping[str, float], scale: flo
         weights.append(float(_checks.not_negative(f"the mass of {name}", mass)))
     if not sum(weights) > 0:
         text.fail(rows[0].line, "the molecule that begins here has no mass")
-    _, names, elements, positions = zip(*rows, strict=True)
+    _, names, elements, positions, _ = zip(*rows, strict=True)
     return Atoms(names, elements, scale * np.array(positions), np.array(weights))
 
 
@@ -201,24 +218,64 @@ def _xyz_frames(text: Text) -> Iterator[list[_Row]]:
         end = line + 2 + int(first)
         if end > last + 1:
             text.fail(line, f"{first} atoms must follow a line of comment, but the file ends at line {last}")
-        comment = text.lines[line]
-        if "Properties=" in comment and "Properties=species:S:1:pos:R:3" not in comment.replace('"', ""):
-            text.fail(line + 1, "of extended xyz, Properties must begin with species:S:1:pos:R:3")
-        yield [_xyz_row(text, k) for k in range(line + 2, end)]
+        columns = _xyz_columns(text, line + 1)
+        yield [_xyz_row(text, k, columns) for k in range(line + 2, end)]
+        if text.lines[line].split()[:1] == ["gdb"]:  # of QM9: frequencies, SMILES and InChI follow
+            last_of_frame = [k for k in range(end, min(end + 3, last + 1)) if text.lines[k - 1].startswith("InChI=")]
+            end = last_of_frame[0] + 1 if last_of_frame else end
         line = end
 
 
-def _xyz_row(text: Text, line: int) -> _Row:
+class _Columns(NamedTuple):
+    """The first columns of the element, the position and the mass of an atom, counted from 0."""
+
+    element: int = 0
+    position: int = 1
+    mass: int | None = None
+
+
+def _xyz_columns(text: Text, line: int) -> _Columns:
+    """The columns that a line of comment names (extended xyz), by default an element and its position."""
+    given = re.search(r"\bProperties\s*=\s*(\"?)([^\"\s]*)\1", text.lines[line - 1], re.IGNORECASE)
+    if given is None:
+        return _Columns()
+    words = given[2].split(":")
+    places: dict[str, tuple[str, int]] = {}
+    at = 0
+    for name, kind, count in zip(words[::3], words[1::3], words[2::3], strict=False):
+        if kind not in ("S", "R", "I", "L") or not re.fullmatch(r"[1-9]\d{0,3}", count):
+            break
+        places[name.lower()] = f"{kind}:{count}", at
+        at += int(count)
+    element = next((places[name] for name in ("species", "element", "symbol", "symbols", "z") if name in places), None)
+    mass = next((places[name] for name in ("mass", "masses") if name in places), ("R:1", None))
+    position = places.get("pos", ("", 0))
+    if (
+        len(words) % 3
+        or element is None
+        or element[0] not in ("S:1", "I:1")
+        or position[0] != "R:3"
+        or mass[0] != "R:1"
+    ):
+        shown = _checks.printable(given[2])
+        text.fail(line, f"Properties of extended xyz must have species:S:1 and pos:R:3, in any order, got {shown!r}")
+    return _Columns(element[1], position[1], mass[1])
+
+
+def _xyz_row(text: Text, line: int, columns: _Columns) -> _Row:
     words = text.lines[line - 1].split()
-    if len(words) < 4:
+    if len(words) <= max(columns.element, columns.position + 2, columns.mass or 0):
         text.fail(
             line, f"an atom needs an element and three coordinates, got {_checks.printable(text.lines[line - 1])!r}"
         )
-    if words[0].isdecimal() and 0 < int(words[0][:9]) <= len(_SYMBOLS):
-        element = _SYMBOLS[int(words[0]) - 1]
+    name = words[columns.element]
+    if name.isdecimal() and 0 < int(name[:9]) <= len(_SYMBOLS):
+        element = _SYMBOLS[int(name) - 1]
     else:
-        element = _symbol(re.sub(r"[^A-Za-z].*", "", words[0]))
-    return _Row(line, words[0], element, text.numbers(line, words[1:4], "a coordinate"))
+        element = _symbol(re.sub(r"[^A-Za-z].*", "", name))
+    at = text.numbers(line, words[columns.position : columns.position + 3], "a coordinate")
+    mass = None if columns.mass is None else text.number(line, words[columns.mass], "a mass")
+    return _Row(line, name, element, at, mass)
 
 
 def _symbol(letters: str) -> str:
@@ -230,6 +287,27 @@ def _symbol(letters: str) -> str:
     if two in _LIGHT or two not in _SYMBOLS:
         return two if two in _LIGHT or one not in _LIGHT else one
     return letters[:2]
+
+
+def _pdb_molecules(text: Text) -> Iterator[list[_Row]]:
+    """The atoms of each residue, or of each molecule of one that has the number of several."""
+    for rows in _pdb_residues(text):
+        names, count = [row.name for row in rows], len(rows)
+        turn = next(k for k in range(1, count + 1) if count % k == 0 and names == names[:k] * (count // k))
+        parts = [rows[k : k + turn] for k in range(0, count, turn)]
+        yield from [rows] if any(itertools.starmap(_are_bonded, itertools.pairwise(parts))) else parts
+
+
+def _are_bonded(a: list[_Row], b: list[_Row]) -> bool:
+    """Whether an atom of one group is bonded to one of the other, by the sum of their covalent radii."""
+    positions = [np.array([row.position for row in rows]) for rows in (a, b)]
+    radii = [np.array([_radius(row.element) for row in rows]) for rows in (a, b)]
+    distances = np.linalg.norm(positions[0][:, None] - positions[1], axis=2)
+    return bool((distances < _BOND * (radii[0][:, None] + radii[1])).any())
+
+
+def _radius(element: str) -> float:
+    return _RADII.get(element, _LARGE if element in _MASSES and element not in ("D", "T") else _SMALL)
 
 
 def _pdb_residues(text: Text) -> Iterator[list[_Row]]:

@@ -40,6 +40,9 @@ def read_oem(path: str | Path, *, segment: int | None = None) -> OrbitTable:
     Raises:
         ValueError: not such a message, cut short, rows that do not increase in time, or segments that cannot be joined.
 
+    Warns:
+        UserWarning: its axes rotate, such as ITRF2014; velocities that are not those of the positions.
+
     Source: CCSDS 502.0-B-3, Orbit Data Messages, 2023, section 5.
     """
     text = read_text(path)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Sequence
 
 import numpy as np
@@ -23,7 +24,8 @@ class OrbitTable(orbits.Table):
         times: the times of the entries in seconds since the epoch, (n,), the first being 0.
         entries: position and velocity of each, in km and km/s, (6n,); also as `positions` and `velocities`, (n, 3).
         epoch: the date of t = 0.
-        frame: the axes, as the file calls them, such as "EME2000", "TEME" or "Ecliptic of J2000.0".
+        frame: the axes, as the file calls them, such as "EME2000", "TEME" or "Ecliptic of J2000.0". A reader warns of
+            axes that rotate, such as ITRF; `earth_field`, `atmosphere`, `eclipse` and gravity gradients refuse them.
         center: the body at the origin.
         object: the name of what moves.
     """
@@ -47,5 +49,9 @@ def orbit_table(
     if not (np.diff(np.asarray(t)) > 0).all():
         text.fail(0, "its times need float64: call jax.config.update('jax_enable_x64', True) first")
     found = OrbitTable(t, entries, epoch, *facts)
+    if _checks.rotates(found.frame):
+        axes = f"the axes {_checks.printable(found.frame)} rotate, and so do positions and velocities here"
+        remedy = "laws that need inertial axes refuse this orbit; export it in GCRF, EME2000 or TEME"
+        warnings.warn(f"{text.name}: {axes}: {remedy}", stacklevel=3)
     found.check_velocities(f"{text.name}: ", refuse=units)
     return found

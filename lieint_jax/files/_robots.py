@@ -17,7 +17,14 @@ __all__ = ["read_mjcf_inertia", "read_urdf_inertia"]
 
 _LINE = ""  # the attribute that holds the line: no attribute of a file has this name
 _TENSOR = np.array([[0, 3, 4], [3, 1, 5], [4, 5, 2]])  # of xx yy zz xy xz yz
-_CHANGES = {"balanceinertia", "boundinertia", "boundmass", "settotalmass"}  # of MuJoCo's compiler
+_CHANGES = {
+    "balanceinertia",
+    "boundinertia",
+    "boundmass",
+    "coordinate",
+    "fusestatic",
+    "settotalmass",
+}  # of MuJoCo's compiler
 
 
 def read_urdf_inertia(path: str | Path, link: str | None = None) -> shapes.Shape:
@@ -37,6 +44,8 @@ def read_urdf_inertia(path: str | Path, link: str | None = None) -> shapes.Shape
     links = [x for x in root.iterfind("link") if x.find("inertial") is not None]
     found = _child(text, links[_choose(text, [x.get("name") for x in links], "link", link)], "inertial")
     tensor, origin = _child(text, found, "inertia"), found.find("origin")
+    if origin is not None and (other := set(origin.keys()) - {"xyz", "rpy", _LINE}):
+        text.fail(_line(origin), f"<origin> must have xyz and rpy only, got {_checks.printable(min(other))}")
     mass = _numbers(text, _child(text, found, "mass"), "value", 1)
     moments = [_numbers(text, tensor, name, 1)[0] for name in ("ixx", "iyy", "izz", "ixy", "ixz", "iyz")]
     xyz, rpy = ([0.0] * 3 if origin is None else _numbers(text, origin, x, 3, "0 0 0") for x in ("xyz", "rpy"))
@@ -115,8 +124,8 @@ def _by_mujoco(text: Text, path: Path, body: str | None) -> shapes.Shape:
         import mujoco
     except ImportError as error:
         raise ImportError(
-            f"{path}: the inertia of this body follows from geoms, angles or options of the compiler, which needs the "
-            "package mujoco (pip install mujoco); without it an <inertial> with pos, quat and diaginertia is read"
+            f"{text.name}: the inertia of this body follows from geoms, angles or options of the compiler, which needs "
+            "the package mujoco (pip install mujoco); without it an <inertial> with pos, quat and diaginertia is read"
         ) from error
     try:
         model: Any = mujoco.MjModel.from_xml_path(str(path))  # pyright: ignore[reportAttributeAccessIssue]

@@ -29,24 +29,29 @@ def read_shape(
         ImportError: trimesh is needed and not installed.
     """
     factor = _checks.positive("scale", scale)
+    _checks.one_of(mass=mass, density=density)
     known = str(path).lower().removesuffix(".gz").endswith(shapes.ENDINGS)
     vertices, faces = shapes.surface(path, closed=True) if known else _by_trimesh(Path(path))
-    return shapes.mesh(factor * vertices, faces, mass=mass, density=density)
+    try:
+        return shapes.mesh(factor * vertices, faces, mass=mass, density=density)
+    except ValueError as error:
+        raise ValueError(f"{_checks.path_text(path)}: {error}") from error
 
 
 def _by_trimesh(path: Path) -> tuple:
     """The vertices and triangles of a format that only trimesh reads."""
+    shown = _checks.path_text(path)
     if not path.is_file():
-        raise ValueError(f"there is no file {path}")
+        raise ValueError(f"there is no file {shown}")
     try:
         import trimesh
     except ImportError as error:
         raise ImportError(
-            f"{path} needs the package trimesh (pip install trimesh); without it {', '.join(shapes.ENDINGS)} are read"
+            f"{shown} needs the package trimesh (pip install trimesh); without it {', '.join(shapes.ENDINGS)} are read"
         ) from error
     try:
         found: Any = trimesh.load(path, force="mesh")
         found.merge_vertices()
         return found.vertices, found.faces
     except Exception as error:  # each of its readers raises its own
-        raise ValueError(f"trimesh cannot read {path}: {_checks.printable(str(error))}") from error
+        raise ValueError(f"trimesh cannot read {shown}: {_checks.printable(str(error))}") from error

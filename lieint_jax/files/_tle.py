@@ -25,7 +25,12 @@ _DEEP = 225.0  # minutes: above, Moon and Sun are part of the theory
 _ALPHA = string.digits + "ABCDEFGHJKLMNPQRSTUVWXYZ"  # first digits of catalog numbers from 100 000, without I and O
 _SMALL = re.compile(r"([+-]?)(\d{5})([+-]\d)")
 _FIXED = {"CENTER_NAME": ("EARTH",), "REF_FRAME": ("TEME",), "TIME_SYSTEM": ("UTC",)}
-_FIXED |= {"MEAN_ELEMENT_THEORY": ("SGP4", "SGP/SGP4")}
+_FIXED |= {"MEAN_ELEMENT_THEORY": ("SGP4", "SGP/SGP4"), "EPHEMERIS_TYPE": ("0", "2")}
+_FIXED |= {"GM": ("398600.8",)}  # km³/s², WGS 72, with which elements of SGP4 are made
+_OTHER = ("REF_FRAME_EPOCH", "BTERM", "AGOM")  # keys of other theories and axes, SGP4-XP among them
+_UNITS = {"INCLINATION": "deg", "RA_OF_ASC_NODE": "deg", "ARG_OF_PERICENTER": "deg", "MEAN_ANOMALY": "deg"}
+_UNITS |= {"MEAN_MOTION": "rev/day", "MEAN_MOTION_DOT": "rev/day**2", "MEAN_MOTION_DDOT": "rev/day**3"}
+_UNITS |= {"ECCENTRICITY": "", "BSTAR": "1/ER", "GM": "km**3/s**2"}
 _KEYS = (
     "MEAN_MOTION ECCENTRICITY INCLINATION RA_OF_ASC_NODE ARG_OF_PERICENTER MEAN_ANOMALY BSTAR MEAN_MOTION_DOT "
     "MEAN_MOTION_DDOT"
@@ -128,7 +133,8 @@ class MeanElements:
         time = -math.remainder(M, 2 * math.pi) / n
         rates = orbits.secular_j2(orbits.EARTH_GM, a, e, i).rates
         node, periapsis = (x + float(rate) * time for x, rate in zip((node, periapsis), rates[:2], strict=True))
-        return orbits.secular_j2(orbits.EARTH_GM, a, e, i, node=node, periapsis=periapsis, periapsis_time=time)
+        found_orbit = orbits.secular_j2(orbits.EARTH_GM, a, e, i, node=node, periapsis=periapsis, periapsis_time=time)
+        return dataclasses.replace(found_orbit, frame="TEME")
 
 
 def read_tle(lines: str | Path | Sequence[str], *, satellite: str | int | None = None) -> MeanElements:
@@ -142,7 +148,8 @@ def read_tle(lines: str | Path | Sequence[str], *, satellite: str | int | None =
         `MeanElements`: `.orbit(span)` is the orbit of SGP4, `.secular_j2()` an ellipse with secular rates.
 
     Raises:
-        ValueError: no such lines, a wrong checksum, or several satellites of which none was chosen.
+        ValueError: no such lines, a wrong checksum, elements of another theory than SGP4, such as SGP4-XP (ephemeris
+            type 4), or several satellites of which none was chosen.
 
     Source: Vallado et al. 2006, AIAA 2006-6753; alpha-5 catalog numbers: space-track.org.
     """
@@ -192,6 +199,8 @@ def _elements(text: Text, k: int, first: str, second: str, name: str) -> MeanEle
     whole = second[26:33].replace(" ", "0")
     if not whole.isdigit():
         text.fail(k, f"the eccentricity must be seven digits, got {_checks.printable(whole)!r}")
+    if first[62] not in "02 ":  # 4 is SGP4-XP, 1, 3, 5 and 6 are older theories
+        text.fail(k - 1, f"the ephemeris type (column 63) must be 0, SGP4, got {_checks.printable(first[62])!r}")
     words = {"inclination": second[8:16], "node": second[17:25], "periapsis": second[34:42]}
     words |= {"mean_anomaly": second[43:51], "mean_motion": second[52:63]}
     values = {key: text.number(k, word.strip(), f"the {key.replace('_', ' ')}") for key, word in words.items()}
@@ -234,7 +243,8 @@ def read_omm(path: str | Path, *, satellite: str | int | None = None) -> MeanEle
         satellite: the name or the catalog number, where there are several.
 
     Raises:
-        ValueError: no such message, another theory than SGP4, or several satellites of which none was chosen.
+        ValueError: no such message, another theory than SGP4, such as SGP4-XP, other axes, units or constants than its
+            own, or several satellites of which none was chosen.
 
     Source: CCSDS 502.0-B-3, Orbit Data Messages, 2023, section 4.
     """
@@ -249,6 +259,11 @@ def read_omm(path: str | Path, *, satellite: str | int | None = None) -> MeanEle
 
 def _of_message(text: Text, message: Mapping[str, tuple[int, str]]) -> MeanElements:
     """The elements of the keys of a message, each with its line."""
+    message = {key: given for key, given in message.items() if given[1]}
+    for key in _OTHER:
+        if key in message:
+            text.fail(message[key][0], f"{key} must be left out: it is no element of SGP4 in TEME")
+    message = {key: (line, _without_unit(text, line, key, value)) for key, (line, value) in message.items()}
     for key, allowed in _FIXED.items():
         line, value = message.get(key, (0, allowed[0]))
         if value.upper() not in allowed:
@@ -256,8 +271,7 @@ def _of_message(text: Text, message: Mapping[str, tuple[int, str]]) -> MeanEleme
     values = {}
     for name, key in zip(Elements._fields, _KEYS.split(), strict=True):
         if key in message:
-            line, word = message[key]
-            values[name] = text.number(line, word.partition("[")[0].strip(), key)  # without a unit
+            values[name] = text.number(*message[key], key)
         elif "DOT" not in key:
             text.fail(0, f"the message must have {key}: it is no message of SGP4, or is cut short")
     if "EPOCH" not in message:
@@ -268,6 +282,14 @@ def _of_message(text: Text, message: Mapping[str, tuple[int, str]]) -> MeanEleme
     return _checked(text, line, MeanElements(_ccsds.moment(text, line, word, "UTC"), name, number, Elements(**values)))
 
 
+def _without_unit(text: Text, line: int, key: str, value: str) -> str:
+    """The value of a key without its unit in brackets, which must be that of the standard."""
+    found = re.fullmatch(r"(.*?)\s*\[(.*)\]\s*", value) if key in _UNITS else None
+    if found and found[2].strip().lower() != _UNITS[key].lower():
+        text.fail(line, f"the unit of {key} must be {_UNITS[key]}, got {_checks.printable(found[2])!r}")
+    return found[1].strip() if found else value
+
+
 def _of_lines(text: Text, whole: str) -> list[dict[str, tuple[int, str]]]:
     messages: list[dict[str, tuple[int, str]]] = []
     for k, line in enumerate(text.lines, 1):
@@ -275,6 +297,8 @@ def _of_lines(text: Text, whole: str) -> list[dict[str, tuple[int, str]]]:
         if key == "CCSDS_OMM_VERS" or (key == "OBJECT_NAME" and not messages):
             messages.append({})
         if equals and messages and not key.startswith("COMMENT"):
+            if key in messages[-1] and key in (*_FIXED, *_UNITS, "EPOCH"):
+                text.fail(k, f"{key} is given twice in one message")
             messages[-1][key] = k, value
     return messages
 
@@ -302,4 +326,10 @@ def _of_xml(text: Text, whole: str) -> list[dict[str, tuple[int, str]]]:
     for x in root.iter():
         x.tag = x.tag.rpartition("}")[2]  # without its namespace
     found = root.iter("omm")
-    return [{x.tag: (0, (x.text or "").strip()) for x in message.iter() if not len(x)} for message in found]
+    return [{x.tag: (0, _with_unit(x)) for x in message.iter() if not len(x)} for message in found]
+
+
+def _with_unit(element: ElementTree.Element) -> str:
+    """The text of an element of XML, and its unit in brackets as in a message of lines."""
+    text, unit = (element.text or "").strip(), element.get("units")
+    return text if unit is None else f"{text} [{unit}]"

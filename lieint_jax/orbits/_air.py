@@ -13,7 +13,7 @@ from jax.typing import ArrayLike
 
 from lieint_jax import _checks
 from lieint_jax._checks import concrete, named, not_negative, positive
-from lieint_jax.orbits._earth import EARTH_RADIUS, EARTH_RATE
+from lieint_jax.orbits._earth import EARTH_RADIUS, EARTH_RATE, equatorial
 from lieint_jax.orbits._from_state import KeplerFromState
 from lieint_jax.orbits._kepler import Kepler, kepler
 from lieint_jax.orbits._secular import SecularJ2
@@ -49,13 +49,13 @@ class Air:
         rate: the rotation of the air, in radians per unit of time.
 
     Raises:
-        ValueError: numbers are out of range, or the orbit is below the ground or in another unit of length than the
-            radius.
+        ValueError: numbers are out of range, or the orbit is below the ground, in another unit of length than the
+            radius, or in axes that are known to rotate or to have another z.
 
     Source: Vallado 2013, Fundamentals of Astrodynamics, table 8-4.
     """
 
-    orbit: Converted[Any] = argument(converter=callable_pytree)
+    orbit: Converted[Any] = argument(converter=lambda orbit: callable_pytree(equatorial(orbit)))
     density: Converted[Array] = argument(converter=named(positive, "density"))
     scale_height: Converted[Array] = argument(converter=named(positive, "scale_height"))
     height: Converted[Array] = argument(converter=named(not_negative, "height"))

@@ -16,7 +16,7 @@ from lieint_jax import _checks
 from lieint_jax._checks import positive
 from lieint_jax.dates import Epoch
 from lieint_jax.orbits._air import above_ground
-from lieint_jax.orbits._earth import EARTH_RATE, J2000, days_since_j2000, earth_rotation_angle, julian_date
+from lieint_jax.orbits._earth import J2000, days_since_j2000, julian_date, rotation_of_earth
 from lieint_jax.orbits._kepler import kepler
 from lieint_jax.types import callable_pytree, pytree
 from lieint_jax.types.shapes import Calls
@@ -137,31 +137,36 @@ def earth_field(
     coefficients: Any = None,
     radius: ArrayLike = _RADIUS,
     *,
-    rate: ArrayLike = EARTH_RATE,
+    rate: ArrayLike | None = None,
     degree: int = 1,
+    frame: str | None = None,
 ) -> EarthField | HarmonicField:
     """The Earth's magnetic field along an orbit, which rotates with the Earth, in tesla: a dipole, or all of IGRF.
 
     The dipole is the first degree of IGRF-14; the higher degrees are 10 to 20 percent of the field in a low orbit.
 
     Args:
-        orbit: t ↦ (position, velocity) from the Earth's center in inertial axes, z to the pole; t in seconds.
+        orbit: t ↦ (position, velocity) from the Earth's center in inertial axes, z to the pole; t in seconds. An orbit
+            of a file, or of the elements of one, has the names of its axes and center.
         date: the date at t = 0 in UT: a text such as "2026-03-01T12:00:00", an `Epoch`, or a Julian date.
         coefficients: of another dipole, (g₁¹, h₁¹, g₁⁰), (3,), or of another field, rows (n, m, g) of degree, order and
             Schmidt's coefficient, an order < 0 that of h, (rows, 3), in the unit of the returned field; by default
             IGRF-14 at this date, from 2000 to 2030, in tesla.
         radius: 6371.2 km in the orbit's unit of length.
-        rate: the rate of the Earth's rotation, in radians per unit of time.
+        rate: the rate of the Earth's rotation, in radians per unit of time; by default in rad/s.
         degree: the degree to which the field is summed, from 1 to 13, which is all of IGRF. In machine code an
             evaluation at degree 1, 4 and 13 takes 0.1, 0.15 and 0.5 µs; at 13 the first call takes seconds more for
             each place in a law where the field is evaluated.
+        frame: the orbit's axes, by default `orbit.frame` if it has one: in "TEME", "TOD" and "MOD" the Earth turns by
+            Greenwich mean sidereal time, in all others, such as "GCRF" and "EME2000", by the Earth rotation angle.
 
     Returns:
         A function t ↦ b in space, (3,).
 
     Raises:
-        ValueError: the orbit is below the ground or in another unit of length than the radius; IGRF-14 has no
-            coefficients for the date, or the date is in a scale such as TT; a degree that IGRF does not have.
+        ValueError: the orbit is below the ground or in another unit of length than the radius; its axes rotate, have
+            another z (the ecliptic, B1950), or its center is not the Earth's; IGRF-14 has no coefficients for the date,
+            or the date is in a scale such as TT; a degree that IGRF does not have.
 
     Source: Alken et al. 2021, Earth Planets Space 73 (IGRF); IAGA Working Group V-MOD 2024, IGRF-14 coefficients.
     """
@@ -170,8 +175,9 @@ def earth_field(
         most = f"{_DEGREE}, the last one of IGRF" if coefficients is None else "1 with the coefficients of a dipole"
         raise ValueError(f"degree must be at most {most}, got {degree}")
     above_ground(orbit, R)
-    angle = _checks.real_array("date", earth_rotation_angle(date), ())
-    turning = R, angle, _checks.real_array("rate", rate, ())
+    angle, own_rate = rotation_of_earth(orbit, date, frame)
+    angle = _checks.real_array("date", angle, ())
+    turning = R, angle, _checks.real_array("rate", own_rate if rate is None else rate, ())
     orbit = callable_pytree(orbit)
     if coefficients is not None and np.ndim(coefficients) == 2:
         rows = _checks.host_array("coefficients", coefficients, float)

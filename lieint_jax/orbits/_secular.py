@@ -14,7 +14,7 @@ from lieint_jax._checks import concrete
 from lieint_jax._deprecated import old_calls
 from lieint_jax.orbits._earth import EARTH_J2, EARTH_RADIUS
 from lieint_jax.orbits._kepler import Kepler, kepler
-from lieint_jax.types import pytree
+from lieint_jax.types import pytree, static
 from lieint_jax.types.shapes import Calls
 from lieint_jax.types.vectors import cross
 
@@ -29,11 +29,13 @@ class SecularJ2:
         osculating: the ellipse at the time of periapsis.
         J2: the coefficient of oblateness.
         radius: the equatorial radius that J₂ belongs to.
+        frame: the axes, such as "TEME" of the elements of a TLE; "" if they are not named.
     """
 
     osculating: Kepler
     J2: Array
     radius: Array
+    frame: str = static(default="")
 
     @property
     def mu(self) -> Array:

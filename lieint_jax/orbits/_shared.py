@@ -48,6 +48,16 @@ class SharedFunction:
     def __call__(self, t: ArrayLike) -> Any:
         return _call(self.function, operator.call, t)
 
+    @property
+    def frame(self) -> str:
+        """The axes of a shared orbit, "" if they are not named."""
+        return getattr(self.function.value, "frame", "")
+
+    @property
+    def center(self) -> str:
+        """The body at the origin of a shared orbit, "" if it is not named."""
+        return getattr(self.function.value, "center", "")
+
 
 @pytree
 class SharedFrame(SharedFunction):

@@ -98,7 +98,7 @@ class Eclipse:
     Source: Montenbruck & Gill 2000, Satellite Orbits, 3.4.2.
     """
 
-    orbit: Converted[Any] = argument(converter=callable_pytree)
+    orbit: Converted[Any] = argument(converter=lambda orbit: callable_pytree(_checks.inertial(orbit)))
     sun: Converted[Any] = argument(converter=_sun)
     radius: Converted[Array] = argument(converter=named(positive, "radius"), default=EARTH_RADIUS)
     shadow: Converted[Literal["conical", "cylindrical"]] = static(converter=_shadow, default="conical")

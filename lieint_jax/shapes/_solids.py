@@ -291,8 +291,12 @@ def mesh(vertices: ArrayLike, faces: Any, *, mass: ArrayLike | None = None, dens
     """
     at, triangles = closed_surface(vertices, faces)
     if concrete(at):
-        with np.errstate(over="ignore"):
-            _check_volume(np.prod(np.max(np.ptp(np.asarray(at), axis=0)) * np.ones(3, at.dtype)))  # of a cube around it
+        most, largest = largest_coordinate(at.dtype), float(jnp.max(jnp.abs(at), initial=0))
+        if largest > most:
+            raise ValueError(
+                f"coordinates must be at most {most:.2g}, beyond which moments of inertia overflow, got {largest:.3g}: "
+                "choose a larger unit of length"
+            )
         _check_parts(np.asarray(at, float)[triangles], triangles)
     reference = jnp.mean(at, axis=0)  # near the center: the moments about a distant point would cancel
     corners = (at - reference[None])[triangles]
@@ -309,6 +313,11 @@ def mesh(vertices: ArrayLike, faces: Any, *, mass: ArrayLike | None = None, dens
     center = reference + to_center
     radius = jnp.max(_norm(triangles - center[None, None]))
     return Shape(total, center, second, third, fourth, radius=radius, triangles=triangles)
+
+
+def largest_coordinate(dtype: Any) -> float:
+    """The largest coordinate whose fifth power, as in a moment of inertia, does not overflow, with a margin."""
+    return float(jnp.finfo(dtype).max) ** 0.2 / 16
 
 
 _SAMPLES = 16  # faces of a part of a surface whose centers decide whether it lies inside another

@@ -14,7 +14,7 @@ from numpy.typing import ArrayLike
 
 from lieint_jax import _checks
 from lieint_jax._text import Text, decode, read_bytes
-from lieint_jax.shapes._solids import Shape, mesh
+from lieint_jax.shapes._solids import Shape, largest_coordinate, mesh
 
 __all__ = ["ENDINGS", "obj", "surface"]
 
@@ -48,7 +48,11 @@ def obj(
             differ in orientation, with the lines of these faces; and the errors of `shapes.mesh`.
     """
     vertices, faces = _merge(_read_obj(str(path), read_bytes(path)), closed=True)
-    return mesh(scale * vertices, faces, mass=mass, density=density)
+    _checks.one_of(mass=mass, density=density)
+    try:
+        return mesh(scale * vertices, faces, mass=mass, density=density)
+    except ValueError as error:
+        raise ValueError(f"{_checks.path_text(path)}: {error}") from error
 
 
 def surface(path: str | Path, *, closed: bool = False) -> tuple[np.ndarray, np.ndarray]:
@@ -81,7 +85,8 @@ are numbered, twice. Not: "quad" models (ICQ), grids of radii |
     reader = _READERS.get(["", *suffixes][-2 if suffixes[-1:] == [".gz"] else -1])
     if reader is None:
         raise ValueError(
-            f"a surface is read from a file {', '.join(ENDINGS)}, each also with .gz, got {path}; files.read_shape "
+            f"a surface is read from a file {', '.join(ENDINGS)}, each also with .gz, got {_checks.path_text(path)}; "
+            "files.read_shape "
             "reads other formats with trimesh"
         )
     return _merge(reader(str(path), read_bytes(path)), closed)
@@ -119,9 +124,10 @@ def _merge(found: _Triangles, closed: bool) -> tuple[np.ndarray, np.ndarray]:
     if len(wrong):
         allowed, got = f"{base} to {len(vertices) - 1 + base}", (faces[wrong[0]] + base).tolist()
         found.fail(wrong[0], f"a face must have indices of vertices, from {allowed}, got {got}")
-    wrong = np.flatnonzero(~np.isfinite(vertices[faces]).all(axis=(1, 2)))
+    most = largest_coordinate(float)
+    wrong = np.flatnonzero(~(np.abs(vertices[faces]) < most).all(axis=(1, 2)))
     if len(wrong):
-        found.fail(wrong[0], "a vertex of this face is not finite")
+        found.fail(wrong[0], f"a vertex of this face is not finite, or beyond {most:.3g}: moments would overflow")
     places, merged = np.unique(vertices + 0.0, axis=0, return_inverse=True)  # −0 is 0
     F = merged.reshape(-1)[faces]
     whole = (F[:, 0] != F[:, 1]) & (F[:, 1] != F[:, 2]) & (F[:, 2] != F[:, 0])
@@ -204,6 +210,8 @@ def _read_obj(name: str, data: bytes) -> _Triangles:
         if len(words) < 3:
             text.fail(number, f"{'a vertex' if kind == 'v' else 'a face'} needs three numbers, got {_show(line)}")
         if kind == "v":
+            if len(words) == 4 and text.number(number, words[3], "the weight of a vertex") != 1:
+                text.fail(number, f"the weight w of a vertex x y z w must be 1, got {_show(words[3])}")
             at.append(number)
             rows.append(words[:3])
             continue
@@ -233,7 +241,7 @@ def _read_stl(name: str, data: bytes) -> _Triangles:
     if b"\0" in data[:84]:  # the number of triangles has one
         count, rest = int.from_bytes(data[80:84], "little"), len(data) - 84
         if rest != count * _BINARY_STL.itemsize:
-            raise ValueError(f"{name}: {count} triangles of 50 bytes must follow the header of 84, got {rest} bytes")
+            Text(name, []).fail(0, f"{count} triangles of 50 bytes must follow the header of 84, got {rest} bytes")
         corners = np.frombuffer(data, _BINARY_STL, offset=84)["corners"].astype(float).reshape(-1, 3)
         return _separate(Text(name, []), corners, np.arange(1, count + 1), "face")
     text, corners, at, lines, open_since = _text(name, data), [], [], [], 0
@@ -367,7 +375,7 @@ def _read_ply(name: str, data: bytes) -> _Triangles:
             corners = row.get("vertex_indices", row.get("vertex_index", ()))
             if len(corners) < 3 or not all(float(x).is_integer() and abs(x) < 2**53 for x in corners):
                 what = f"{word} {place}: a face needs a list vertex_indices of three or more integers"
-                raise ValueError(f"{name}, {what}, got {_show(list(corners))}")
+                raise ValueError(f"{text.name}, {what}, got {_show(list(corners))}")
             faces += _fan([int(x) for x in corners])
             lines += [place] * (len(corners) - 2)
     return _triangles(text, vertices, faces, lines, word)

@@ -51,7 +51,7 @@ class GravityGradient(MovedBody):
         mu: the gravitational parameter of the center of attraction, > 0; by default `orbit.mu`.
 
     Raises:
-        ValueError: bad inertia; `orbit` is not such a function; μ is missing or not positive.
+        ValueError: bad inertia; `orbit` is not such a function, or its axes rotate; μ is missing or not positive.
 
     Source: MacCullagh 1844; Hughes 1986, Spacecraft Attitude Dynamics, 8.1.
 
@@ -63,7 +63,7 @@ class GravityGradient(MovedBody):
     """
 
     inertia: Converted[Array] = argument(converter=as_inertia)
-    orbit: Converted[Any] = argument(converter=callable_pytree)
+    orbit: Converted[Any] = argument(converter=lambda orbit: callable_pytree(_checks.inertial(orbit)))
     mu: Converted[Array | None] = argument(
         converter=named(_checks.real_array, "mu", (), optional=True), like="inertia", default=None
     )

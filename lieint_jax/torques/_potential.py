@@ -82,12 +82,12 @@ class GravityGradient(DirectionalPotential):
         mu: the gravitational parameter; by default `orbit.mu`.
 
     Raises:
-        ValueError: an orbit that is no such function, bad inertia, no mu.
+        ValueError: an orbit that is no such function, or in axes that rotate; bad inertia, no mu.
 
     Source: Hughes 1986, Spacecraft Attitude Dynamics, 8.1; the mean torque of a step: this package.
     """
 
-    orbit: Converted[Any] = argument(converter=lambda orbit: callable_pytree(_checks.orbit(orbit)))
+    orbit: Converted[Any] = argument(converter=lambda orbit: callable_pytree(_checks.inertial(_checks.orbit(orbit))))
     inertia: Converted[Array] = argument(converter=partial(_checks.inertia, stacklevel=4))
     mu: Converted[Array] = argument(converter=named(_checks.real_array, "mu", (), optional=True), default=None)
 

@@ -77,6 +77,8 @@ def test_a_satellite_on_the_orbit_of_sgp4():
     reference = li.files.read_tle("iss.tle").orbit((-60.0, 60.0))
     assert_allclose(r, 1e3 * np.asarray(reference(0.0)[0]), rtol=0, atol=0.4)  # m: h⁴n⁴/384 of the radius, h = 60 s
     assert_allclose(v, 1e3 * np.asarray(reference(0.0)[1]), rtol=0, atol=0.02)
+    expected = li.orbits.earth_field(reference, EPOCH)(0.0)  # in TEME, by mean sidereal time
+    assert_allclose(found.environment().field(0.0), expected, rtol=0, atol=1e-6 * np.linalg.norm(expected))
 
 
 def test_observations_are_those_of_a_log():

@@ -51,11 +51,12 @@ def test_a_saved_run_has_the_unit_of_time_of_its_store(tmp_path):
     [
         epoch("2024-03-01"),
         datetime.datetime(2024, 3, 1),
-        2460370.5,
+        datetime.date(2024, 3, 1),
+        np.datetime64("2024-03-01"),
         SimpleNamespace(jd1=2460370.5, jd2=0.0, scale="utc"),
         "2024-061",
     ],
-    ids=["Epoch", "datetime", "Julian date", "Time", "text"],
+    ids=["Epoch", "datetime", "date", "datetime64", "Time", "text"],
 )
 def test_an_epoch_has_many_forms(given_date):
     assert li.Run.of(STEP, li.integrate(STEP, ONE, 0.5, 1), epoch=given_date).epoch == epoch("2024-03-01T00:00 UTC")

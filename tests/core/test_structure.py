@@ -47,8 +47,7 @@ FLOORS = [  # from the roof down; a module imports only from floors below its ow
     ("types",),
     ("native",),
     ("_xla",),
-    ("_text",),
-    ("dates",),
+    ("_text", "dates"),
     ("_checks", "_deprecated", "_discover", "_version"),
 ]
 LEVEL = {name: level for level, floor in enumerate(FLOORS) for name in floor}

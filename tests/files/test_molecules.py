@@ -172,3 +172,79 @@ def test_a_straight_molecule_takes_an_axial_moment(tmp_path):
     path.write_text("3\n\nO 0 0 0\nH 0.9 0 0\nH 0 0.9 0\n")
     with pytest.raises(ValueError, match="axial_moment is that of a straight molecule"):
         files.read_molecule(path).shape(axial_moment=1e-3)
+
+
+WATER_ROWS = [("O", 0.0, 0.0, 0.0), ("H", 0.957, 0.0, 0.0), ("H", -0.24, 0.927, 0.0)]
+
+
+def test_frames_of_qm9_end_with_their_inchi(tmp_path):
+    """Ramakrishnan et al. 2014, Sci. Data 1, table 2: a charge after the position, then frequencies, SMILES, InChI."""
+    path = tmp_path / "a.xyz"
+    atoms = "O\t0\t0\t0\t-0.589706\nH\t0.957\t0\t0\t0.294853\nH\t-0.24\t0.927\t1.0*^-6\t0.294853\n"
+    frame = f"3\ngdb 3\t799.58\t437.90\t282.94\n{atoms}1671.4222\t3803.6305\t3907.698\nO\tO\n"
+    frame += "InChI=1S/H2O/h1H2\tInChI=1S/H2O/h1H2\n"
+    path.write_text(frame + frame.replace("0.957", "0.9") + "1\nplain\nHe 0 0 0\n")
+    first, second, third = files.read_molecules(path)
+    np.testing.assert_array_equal(first.positions, [[0, 0, 0], [0.957, 0, 0], [-0.24, 0.927, 1e-6]])
+    assert (second.positions[1, 0], third.elements) == (0.9, ("He",))
+
+
+def test_columns_of_extended_xyz_are_those_of_properties(tmp_path):
+    path, lines = tmp_path / "a.xyz", []
+    for k, (name, *at) in enumerate(WATER_ROWS):
+        lines.append(f"{k} 9 8 7 {2.0 + k} {' '.join(map(str, at))} {name}\n")
+    given = 'Lattice="9 0 0 0 9 0 0 0 9" Properties=id:I:1:momenta:R:3:masses:R:1:pos:R:3:species:S:1 pbc="T T T"'
+    path.write_text(f"3\n{given}\n{''.join(lines)}")
+    found = files.read_molecule(path)
+    np.testing.assert_array_equal(found.positions, [row[1:] for row in WATER_ROWS])
+    assert (found.elements, found.masses.tolist()) == (("O", "H", "H"), [2.0, 3.0, 4.0])
+    assert files.read_molecule(path, masses={"H": 1.5}).masses.tolist() == [2.0, 1.5, 1.5]
+
+
+def test_deuterium_and_tritium_have_their_masses(tmp_path):
+    """Of NIST: 2.014102 and 3.016049 u."""
+    path = tmp_path / "a.xyz"
+    path.write_text("3\n\nO 0 0 0\nD1 0.957 0 0\nT -0.24 0.927 0\n")
+    found = files.read_molecule(path)
+    assert found.elements == ("O", "D", "T")
+    np.testing.assert_allclose(found.masses, [15.999, 2.014102, 3.016049], rtol=0, atol=1e-4)
+    pdb = tmp_path / "a.pdb"
+    pdb.write_text(pdb_atom(1, " O  ", 1, [0, 0, 0], "O") + pdb_atom(2, " D1 ", 1, [0.96, 0, 0]))
+    assert files.read_molecule(pdb).elements == ("O", "D")
+
+
+@pytest.mark.parametrize("number", [1, 9999, "****"])
+@pytest.mark.parametrize("names", [(" O  ", " H1 ", " H2 "), (" O  ", " H  ", " H  ")])
+def test_waters_of_one_residue_number_are_several(number, names, tmp_path):
+    """As packmol numbers them; 1.7 Å apart, the length of a hydrogen bond."""
+    path, shift = tmp_path / "a.pdb", np.array([0.957 + 1.7, 0.0, 0.0])
+    rows = [(k, name, np.array(at)) for k in range(3) for name, (_, *at) in zip(names, WATER_ROWS, strict=True)]
+    path.write_text(
+        "".join(pdb_atom(i, n, number, at + k * shift, n[1]) for i, (k, n, at) in enumerate(rows)) + "END\n"
+    )
+    found = files.read_molecules(path)
+    assert [x.elements for x in found] == [("O", "H", "H")] * 3
+    np.testing.assert_allclose(found[2].positions - found[0].positions, [2 * shift] * 3, rtol=0, atol=2e-3)
+
+
+def test_molecules_whose_names_repeat_are_one_where_they_are_bonded(tmp_path):
+    """Ethylene, nitrogen and hydrogen peroxide with elements as names, as Open Babel writes them; two argon atoms."""
+    path = tmp_path / "a.pdb"
+    ethylene = [
+        ("C", 0, 0, 0),
+        ("H", -0.5, 0.9, 0),
+        ("H", -0.5, -0.9, 0),
+        ("C", 1.34, 0, 0),
+        ("H", 1.8, 0.9, 0),
+        ("H", 1.8, -0.9, 0),
+    ]
+    peroxide = [("O", 0, 0, 0), ("H", -0.3, 0.9, 0), ("O", 1.47, 0, 0), ("H", 1.7, 0, 0.9)]
+    for atoms, sizes in (
+        (ethylene, [6]),
+        (peroxide, [4]),
+        ([("N", 0, 0, 0), ("N", 1.1, 0, 0)], [2]),
+        ([("Ar", 0, 0, 0), ("Ar", 3.8, 0, 0)], [1, 1]),
+        ([("I", 0, 0, 0), ("I", 2.67, 0, 0)], [2]),
+    ):
+        path.write_text("".join(pdb_atom(k, f"{n:>2}  ", 1, at, n) for k, (n, *at) in enumerate(atoms)))
+        assert [len(x.names) for x in files.read_molecules(path)] == sizes

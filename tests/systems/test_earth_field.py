@@ -125,3 +125,102 @@ def test_the_field_of_given_coefficients_is_that_of_igrf(degree):
     expected = orbits.earth_field(LOW, "2025-01-01", radius=R, degree=degree)
     for t in (0.0, 3000.0):
         np.testing.assert_allclose(found(t), expected(t), rtol=0, atol=1e-15 * np.linalg.norm(expected(t)))
+
+
+TLE = """1 99999U 24001A   26060.50000000  .00000000  00000-0  00000-0 0    04
+2 99999  51.6400  30.0000 0010000  40.0000  10.0000 15.50000000    03"""
+
+
+def field_of_ppigrf_in_teme(orbit, moment, times):
+    """The field of ppigrf along an orbit in TEME, (times, 3): the Earth turns by GMST of the package sgp4."""
+    from sgp4.propagation import gstime
+
+    start = orbits.julian_date(moment.year, moment.month, moment.day, moment.hour)
+    r, angles = np.array([orbit(t)[0] for t in times]), [gstime(start + t / 86400) for t in times]
+    c, s = np.cos(angles), np.sin(angles)
+    turns = np.moveaxis([[c, s, 0 * c], [-s, c, 0 * c], [0 * c, 0 * c, 1 + 0 * c]], 2, 0)
+    earth = field_of_ppigrf(1e3 * np.einsum("nij,nj->ni", turns, r), moment, 4)
+    return np.einsum("nji,nj->ni", turns, earth)
+
+
+@pytest.mark.parametrize("kind", ["table", "secular", "shared", "named"])
+def test_in_teme_the_earth_turns_by_mean_sidereal_time(kind):
+    """By the Earth rotation angle the field is off by 98 nT, here by 0.04: ppigrf interpolates in days, not years."""
+    satellite, moment, times = li.files.read_tle(TLE), datetime.datetime(2026, 3, 1, 12), np.arange(0, 5700, 600.0)
+    orbit = satellite.secular_j2() if kind == "secular" else satellite.orbit(6000.0)
+    assert orbit.frame == "TEME"
+    given = {"shared": orbits.shared(orbit), "named": lambda t: orbit(t)}.get(kind, orbit)
+    named = {"frame": "TEME"} if kind == "named" else {}
+    found = jax.vmap(orbits.earth_field(given, satellite.epoch, degree=4, **named))(times)
+    assert np.linalg.norm(found - field_of_ppigrf_in_teme(orbit, moment, times), axis=1).max() < 1e-10
+    by_era = jax.vmap(orbits.earth_field(given, satellite.epoch, degree=4, frame="GCRF"))(times)
+    assert np.linalg.norm(found - by_era, axis=1).max() > 80e-9
+
+
+def test_mean_sidereal_time_is_that_of_the_literature():
+    """Vallado 2013, Fundamentals of Astrodynamics, example 3-5: 152.578787886° at 1992-08-20 12:14 UT1."""
+    field = orbits.earth_field(LOW, "1992-08-20T12:14 UT1", [0.0, 0.0, 1.0], radius=R, frame="TEME")
+    assert np.degrees(field.angle) == pytest.approx(152.578787886, rel=0, abs=2e-7)
+    assert float(field.rate) == pytest.approx(2 * np.pi * 1.002737909350795 / 86400, rel=0, abs=1e-14)
+    for frame, angle in {
+        "TOD": field.angle,
+        "mod": field.angle,
+        "EME2000": orbits.earth_rotation_angle("1992-08-20T12:14"),
+    }.items():
+        other = orbits.earth_field(LOW, "1992-08-20T12:14 UT1", [0.0, 0.0, 1.0], radius=R, frame=frame)
+        np.testing.assert_array_equal(other.angle, angle)
+
+
+@dataclasses.dataclass
+class Framed:
+    """An orbit with the name of its axes."""
+
+    frame: str = "EME2000"
+    center: str = "EARTH"
+
+    def __call__(self, t):
+        return LOW(t)
+
+
+ROTATING = ["ITRF2014", "ITRF-93", "itrf", "GTOD", "TDR", "EFG", "ECEF", "PEF", "WGS84", "IAU_EARTH", "FIXED_EARTH",
+            "IGS20", "TIRS", "Earth-fixed", "MOON_PA440", "RTN", "LVLH_1"]  # fmt: skip
+TIMES, ENTRIES = jnp.array([0.0, 60.0]), jnp.array([7e6, 0, 0, 0, 7546.0, 0] * 2)
+INERTIAL = ["EME2000", "GCRF", "ICRF", "TEME", "TOD", "MOD", "J2000", "", "RTN_INERTIAL", "ECI", "GRF", "P"]
+
+
+def uses(orbit):
+    yield lambda: orbits.earth_field(orbit, "2026-03-01", radius=R)
+    yield lambda: orbits.atmosphere(orbit, 1e-12, 6e4, 4e5, radius=R)
+    yield lambda: orbits.eclipse(orbit, [1.0, 0, 0], radius=R)
+    yield lambda: li.torques.gravity_gradient(orbit, [1.0, 2.0, 2.5], mu=1.0)
+    yield lambda: li.systems.gravity_gradient([1.0, 2.0, 2.5], orbit, 1.0)
+
+
+def test_axes_that_rotate_are_refused_as_inertial():
+    for frame in INERTIAL:
+        for use in uses(Framed(frame)):
+            use()
+    for frame in ROTATING:
+        for use in uses(Framed(frame)):
+            with pytest.raises(ValueError, match=f"inertial.*got {frame}"):
+                use()
+    for use in uses(
+        orbits.shared(li.files.OrbitTable(TIMES, ENTRIES, dates.epoch("2026-03-01"), "GTOD", "EARTH", "X"))
+    ):
+        with pytest.raises(ValueError, match=r"inertial.*got GTOD"):
+            use()
+
+
+def test_the_field_needs_the_pole_and_the_center_of_the_earth():
+    for frame in ("Ecliptic of J2000.0", "Body Mean Equator and Node of Date", "B1950", "TOE_EARTH", "ITRF"):
+        for make in (
+            lambda frame: orbits.earth_field(Framed(frame), "2026-03-01", radius=R),
+            lambda frame: orbits.earth_field(LOW, "2026-03-01", radius=R, frame=frame),
+            lambda frame: orbits.atmosphere(Framed(frame), 1e-12, 6e4, 4e5, radius=R),
+        ):
+            with pytest.raises(ValueError, match=r"inertial.*got"):
+                make(frame)
+    orbits.earth_field(Framed(center="Earth (399)"), "2026-03-01", radius=R)
+    for center in ("MOON", "Sun (10)", "Earth-Moon Barycenter (3)"):
+        with pytest.raises(ValueError, match="orbit must be about the Earth's center, got one about"):
+            orbits.earth_field(Framed(center=center), "2026-03-01", radius=R)

@@ -18,7 +18,7 @@ from pydantic import Field
 from lieint_jax import dates, files, orbits
 from lieint_jax.app.scenarios._keys import PositiveFloat, Table, Text
 from lieint_jax.shapes import Shape
-from lieint_jax.types import pytree
+from lieint_jax.types import pytree, static
 
 SECONDS = {"s": 1.0, "min": 60.0, "h": 3600.0, "d": 86400.0}  # in a unit of time of a scenario
 _ROWS = 20_000  # the most of a file, since results hold them
@@ -77,9 +77,10 @@ class BodyFile(ShapeFile):
 
 @pytree
 class EphemerisOrbit(orbits.Table):
-    """The orbit of a table about a center with the gravitational parameter `mu`."""
+    """The orbit of a table about a center with the gravitational parameter `mu`, in axes of the name `frame`."""
 
     mu: Array
+    frame: str = static(default="")
 
 
 class Ephemeris(Table):
@@ -93,6 +94,8 @@ class Ephemeris(Table):
     """From the center of attraction."""
     velocities: list[list[float]]
     """Per time_unit."""
+    frame: str = ""
+    """The axes, such as "TEME", in which the Earth turns by mean sidereal time, or "EME2000"."""
 
     def motion(self, first: float, last: float) -> EphemerisOrbit:
         """The orbit; ValueError unless the table covers a run between these times."""
@@ -100,7 +103,7 @@ class Ephemeris(Table):
         begin, end = self.times[0], self.times[-1]
         if not begin <= min(first, last) <= max(first, last) <= end:
             raise ValueError(f"the orbit is given from t = {begin:.6g} to {end:.6g}, the run {first:.6g} to {last:.6g}")
-        return EphemerisOrbit(found.times, found.entries, jnp.asarray(self.mu))
+        return EphemerisOrbit(found.times, found.entries, jnp.asarray(self.mu), self.frame)
 
 
 def given_motion(orbit: Any, ephemeris: Ephemeris | None, first: float, last: float) -> Any:
@@ -135,6 +138,7 @@ class OrbitFile(FromFile):
             "times": ((t + (0.0 if start is None else found.epoch - start)) * second).tolist(),
             "positions": (r * length).tolist(),
             "velocities": (v * (length / second)).tolist(),
+            "frame": found.frame,
         }
         return {"ephemeris": table, "epoch": str(found.epoch if start is None else start)}
 
