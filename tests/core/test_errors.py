@@ -56,7 +56,15 @@ SENTENCES = [
     ),
     (lambda: scenarios.load("toutatis", save_every=320), r"observation\.t = 23.* must be a multiple of dt·save_every"),
     (lambda: archives.load_store(Path("group.zarr")), "a Zarr group, but was not written by lieint"),
-    (lambda: archives.load_store(Path("newer.zarr")), "has format 99; .*use a newer one"),
+    (
+        lambda: archives.load_store(Path("newer.zarr")),
+        "format 99, that of a newer lieint_jax; this one reads format 6",
+    ),
+    (
+        lambda: archives.load_store(Path("older.zarr")),
+        "format 5, that of an older lieint_jax; this one reads format 6",
+    ),
+    (lambda: archives.load_store(Path("oldest.zarr")), "has format 1, that of an older lieint_jax"),
     (lambda: archives.load_store(Path("damaged.zarr")), "is damaged: its checksum is wrong"),
     (lambda: info_command.plot(Path("bare.npz")), "holds neither a scenario nor the parameters of its system"),
     (lambda: info_command.plot(Path("start.npz")), "holds the initial states only"),
@@ -70,7 +78,9 @@ def unusable(tmp_path, monkeypatch):
     attributes = {
         "group": {},
         "newer": {"progress": 1, "format": 99},
-        "damaged": {"progress": 1, "format": 3, "checksum": "0"},
+        "older": {"progress": 1, "format": 5},
+        "oldest": {"progress": 1},
+        "damaged": {"progress": 1, "format": 6, "checksum": "0"},
     }
     for name, found in attributes.items():
         Path(f"{name}.zarr").mkdir()
@@ -96,20 +106,26 @@ SIZES = [
         "would hold 157 GB in memory, 2 times .*give a larger save_every, or",
     ),
     (
-        lambda: li.ensemble.run(STEP, ONE_MEMBER, 0.1, 2**31, save_every=1),
+        lambda: li.run(STEP, ONE_MEMBER, 0.1, 2**31, save_every=1).trajectory,
         r"would hold 174 GB in memory: 2147483649 entries of 81 bytes, .*has 1 GB; use a larger save_every or store=",
     ),
     (
-        lambda: li.ensemble.run(STEP, ONE_MEMBER, 0.1, 2**31, save_every=1, reduce="energy"),
+        lambda: li.run(STEP, ONE_MEMBER, 0.1, 2**31, save_every=1, reduce="energy").summary,
         "would hold 120 GB .*save_every$",
     ),
     (
-        lambda: li.ensemble.run(STEP, ONE_MEMBER, 0.1, 2**31, save_every=1, store="x.zarr"),
+        lambda: li.run(STEP, ONE_MEMBER, 0.1, 2**31, save_every=1, store="x.zarr").trajectory,
         "would hold 34.4 GB .*save_every$",
     ),
     (lambda: li.integrate(STEP, STATE, 0.1, 2**63), "num_steps must be at most 9007199254740992, got 9.22337e"),
-    (lambda: li.ensemble.run(STEP, ONE_MEMBER, 0.1, 10**30), "num_steps must be at most 9007199254740992, got 1e"),
-    (lambda: li.ensemble.run(STEP, ONE_MEMBER, 0.1, 1e30), "num_steps must be an integer ≥ 0, got 1e"),
+    (
+        lambda: li.run(STEP, ONE_MEMBER, 0.1, 10**30, save_every=None).trajectory,
+        "num_steps must be at most 9007199254740992, got 1e",
+    ),
+    (
+        lambda: li.run(STEP, ONE_MEMBER, 0.1, 1e30, save_every=None).trajectory,
+        "num_steps must be an integer ≥ 0, got 1e",
+    ),
     (
         lambda: run_command.run("toutatis", Path("x.npz"), 10**9),
         "would hold 65.2 TB in memory: .*; give fewer members, a larg",
@@ -171,7 +187,7 @@ def test_an_interrupted_run_in_memory_suggests_a_store(monkeypatch):
     internals.interrupt_after_the_first_call(monkeypatch)
     states = jax.tree.map(lambda x: x[None], STATE)
     with pytest.raises(KeyboardInterrupt, match="stopped after 6 of 6 steps; a run with a store can be resumed"):
-        li.ensemble.run(li.schemes.so3_midpoint(BODY), states, 0.1, 6, progress=False)
+        li.run(li.schemes.so3_midpoint(BODY), states, 0.1, 6, progress=False, save_every=None)
 
 
 def test_the_command_line_ends_quietly(monkeypatch, capsys):

@@ -20,7 +20,7 @@ from lieint_jax.runs._storage.leaves import Saves, Table, states_in
 from lieint_jax.runs._storage.open_archive import open_archive, read_trajectory
 from lieint_jax.runs._storage.storage import Address, Url, address
 from lieint_jax.runs._storage.untrusted import wrap_errors
-from lieint_jax.runs.store import _legacy, _published
+from lieint_jax.runs.store import _published
 from lieint_jax.runs.store._description import UnknownNameError, make
 from lieint_jax.runs.store._open_store import check_store
 from lieint_jax.runs.store._published import PublishedArray
@@ -122,10 +122,7 @@ def load_store(path: Address, thorough: bool | None = None) -> tuple[Any, Table]
 def _load(path: Address, thorough: bool | None = None) -> Saves:
     root = check_store(path)
     with wrap_errors(path):
-        if isinstance(root, Root):
-            return _published.load(root, not root.storage.is_remote if thorough is None else thorough)
-        assert isinstance(path, Path)
-        return _legacy.load(path, root["attributes"])
+        return _published.load(root, not root.storage.is_remote if thorough is None else thorough)
 
 
 def read_part(root: Root, k: int, progress: Table) -> Saves:
@@ -198,7 +195,7 @@ def _as_stored(loaded: Saves) -> Saves:
         failed = _failures(found, attributes["save_every"]) if failed is None else failed
         return Saves(found, failed, attributes)
     state, failed = states_in(found, found["time"][-1], attributes), found["first_failure"]
-    if attributes.get("per") is not None:
+    if attributes["per"] is not None:
         values: dict[str, Any] = {name: found.get(name) for name in (*Change._fields, "residual", "unconverged")}
         number = attributes["num_steps"] + 1
         return Saves(
