@@ -46,7 +46,7 @@ FLOORS = [  # from the roof down; a module imports only from floors below its ow
     ("native",),
     ("_xla",),
     ("_text",),
-    ("_checks", "_deprecated", "_discover", "_version", "dates"),
+    ("_checks", "_discover", "_version", "dates"),
 ]
 LEVEL = {name: level for level, floor in enumerate(FLOORS) for name in floor}
 CORE = {"jax", "numpy"}  # and the standard library: all that the numerical core needs, everything below `runs`
@@ -168,7 +168,7 @@ def test_no_import_goes_in_a_circle():
 
 def test_the_house_has_few_rooms_and_every_one_a_floor():
     assert ROOMS - {"__init__"} == set(LEVEL)
-    assert len(ROOMS - {"__init__", "_deprecated"}) <= 32  # and old names, for one release
+    assert len(ROOMS - {"__init__"}) <= 32
     assert all((path.parent / "__init__.py").is_file() for path in FILES)
 
 
