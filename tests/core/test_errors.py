@@ -19,7 +19,8 @@ from lieint_jax.app import scenarios
 from lieint_jax.app.command import cli, files
 from lieint_jax.app.command import info as info_command
 from lieint_jax.app.command import run as run_command
-from lieint_jax.ensemble import archives, processes
+from lieint_jax.runs import processes
+from lieint_jax.runs import store as archives
 from lieint_jax.runs._job import devices as _devices
 from lieint_jax.runs.store import _identity
 from lieint_jax.types import State, StepInfo, Trajectory
@@ -106,24 +107,24 @@ SIZES = [
         "would hold 157 GB in memory, 2 times .*give a larger save_every, or",
     ),
     (
-        lambda: li.run(STEP, ONE_MEMBER, 0.1, 2**31, save_every=1).trajectory,
+        lambda: li.run(STEP, ONE_MEMBER, 0.1, 2**31, save_every=1),
         r"would hold 174 GB in memory: 2147483649 entries of 81 bytes, .*has 1 GB; use a larger save_every or store=",
     ),
     (
-        lambda: li.run(STEP, ONE_MEMBER, 0.1, 2**31, save_every=1, reduce="energy").summary,
+        lambda: li.run(STEP, ONE_MEMBER, 0.1, 2**31, save_every=1, reduce="energy"),
         "would hold 120 GB .*save_every$",
     ),
     (
-        lambda: li.run(STEP, ONE_MEMBER, 0.1, 2**31, save_every=1, store="x.zarr").trajectory,
+        lambda: li.run(STEP, ONE_MEMBER, 0.1, 2**31, save_every=1, store="x.zarr"),
         "would hold 34.4 GB .*save_every$",
     ),
     (lambda: li.integrate(STEP, STATE, 0.1, 2**63), "num_steps must be at most 9007199254740992, got 9.22337e"),
     (
-        lambda: li.run(STEP, ONE_MEMBER, 0.1, 10**30, save_every=None).trajectory,
+        lambda: li.run(STEP, ONE_MEMBER, 0.1, 10**30, save_every=None),
         "num_steps must be at most 9007199254740992, got 1e",
     ),
     (
-        lambda: li.run(STEP, ONE_MEMBER, 0.1, 1e30, save_every=None).trajectory,
+        lambda: li.run(STEP, ONE_MEMBER, 0.1, 1e30, save_every=None),
         "num_steps must be an integer ≥ 0, got 1e",
     ),
     (
@@ -291,7 +292,7 @@ def test_a_step_that_no_smaller_dt_helps_names_the_function_and_the_cure(law, Om
     body = li.systems.torqued_body([1.0, 2.0, 3.0], li.torques.viscous(0.1) + law)
     state = body.state(angular_velocity=Omega)
     step = li.schemes.torqued_midpoint(body)
-    for run in (li.integrate, li.ensemble.run):
+    for run in (li.integrate, li.run):
         states = state if run is li.integrate else jax.tree.map(lambda x: jnp.stack([x, x]), state)
         with pytest.raises(ValueError, match=message) as failed:
             run(step, states, 0.1, 2)

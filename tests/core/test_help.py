@@ -8,7 +8,7 @@ import pytest
 
 import lieint_jax as li
 
-ROOMS = (li, li.schemes, li.systems, li.groups, li.diagnostics, li.ensemble, li.fitting, li.measure, li.potentials)
+ROOMS = (li, li.schemes, li.systems, li.groups, li.diagnostics, li.fitting, li.measure, li.potentials)
 _ELSEWHERE = {  # helpers for writing a potential or a system by users, described by themselves
     "along_R", "at_time", "catalogue", "compiler_options", "count", "covariance", "domain", "energy", "first_devices",
     "given_poses", "invariant_form", "is_chain", "is_driven", "processes", "pytree", "static", "student_t_curvature",
