@@ -16,7 +16,7 @@ from pathlib import Path, PurePosixPath
 from typing import Any, NamedTuple
 from urllib.parse import urlsplit
 
-from lieint_jax.types import record
+from lieint_jax.types.record import record
 
 _SCHEMES = ("s3", "gs", "az", "memory")
 
