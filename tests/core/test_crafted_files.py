@@ -245,12 +245,14 @@ def in_place_of(name, make):
 def stores(good):
     """Changes of a store, by what they do."""
     [constant] = json.loads((good / "zarr.json").read_text())["attributes"]["constants"]
-    required = ("progress", "run", "members", "num_steps", "save_every", "dt", "reduce", "scheme", "system")
+    required = ("progress", "run", "members", "num_steps", "save_every", "dt", "reduce", "scheme", "system", "format")
+    required += ("batch", "per", "leaves", "constants", "description", "time_unit", "num_entries", "digests")
+    required += ("member_chunk", "time_chunk")
     yield from ((f"without {key}", put(key, value=...)) for key in required)
     others = {"members": ["2", 0, -1, True, 3, 10**30], "progress": [[], {}, {"entries": 3}], "dt": ["fast", [], {}]}
     others |= {"save_every": [0, "2"], "run": [[], {}, 5], "leaves": [5, ["../q", "p"], [["q"]], ["q", "p", "x"]]}
     others |= {"constants": [["../../../etc"], ["/etc"], [".."], [5], "q", ["nothing"], {}], "reduce": [3, "energy"]}
-    others |= {"format": ["2", 99], "scheme": [5], "system": [None], "num_steps": ["many"], "num_entries": [-1, "3"]}
+    others |= {"format": ["2", 5, 99], "scheme": [5], "system": [None], "num_steps": ["many"], "num_entries": [-1, "3"]}
     for key, values in others.items():
         yield from ((f"{key} = {value!r}", put(key, value=value)) for value in values)
     for key, value in (("entries", 4), ("entries", "3"), ("entries", -3), ("complete", 1), ("commits", 0.5)):

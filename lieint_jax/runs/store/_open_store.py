@@ -35,7 +35,7 @@ from lieint_jax.runs.store._root import Root, read_root
 
 _CHUNK_BYTES = 2**30
 _MAX_PARTS, _MOST_FILES = 10**6, 10**12
-_OF_MEMBERS = ("least", "greatest", "total", "last")
+_OF_MEMBERS = ("least", "greatest", "total", "excess", "last")
 
 
 def check_store(path: Address) -> Root:
