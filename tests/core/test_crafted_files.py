@@ -263,8 +263,8 @@ def stores(good):
     for _ in range(200):
         nested = {"tuple": [nested]}
     systems = [nested, {}, [], 3, {"nonsense": 3}, {"name": "lieint_jax.systems"}, {"array": "q"}]
-    systems += [{"class": "lieint_jax.systems.rigid_body.RigidBody", "fields": x} for x in ({}, [], {"inertia": 3})]
-    systems += [{"class": "lieint_jax.systems.rigid_body.RigidBody"}, {"class": 3}, {"group": "SO(3)", "fields": {}}]
+    systems += [{"class": "lieint_jax.systems.RigidBody", "fields": x} for x in ({}, [], {"inertia": 3})]
+    systems += [{"class": "lieint_jax.systems.RigidBody"}, {"class": 3}, {"group": "SO(3)", "fields": {}}]
     yield from ((f"system {str(x)[:60]}", put("description", "system", value=x)) for x in systems)
     for name in ("q", "p", "time", "residual", "converged", constant):
         yield f"no array {name}", put("shown", name, value=...)
