@@ -3,7 +3,7 @@
 A stage with the inertia (1000, 14000, 14500) kg m² tumbles at 3.5°/s at 700 km, under gravity's gradient and the torque
 of eddy currents in a dipole field, with initial rates within a hundredth of one another. The error is the median and
 the largest angle over the bodies from `extrapolate(body, 12)` at 1 s. CPU time of one core per body and step by
-`ensemble.run`, the contestants in turn in one process, the least of the rounds; the first call is what it needs more.
+`li.run`, the contestants in turn in one process, the least of the rounds; the first call is what it needs more.
 
     python benchmarks/attitude.py [--quick] [--out DIR]
 """
@@ -58,7 +58,7 @@ def measured(bodies: int, rounds: int) -> list[dict[str, Any]]:
 
     def run(name: str, dt: float) -> tuple[Any, float]:
         start = time.process_time()
-        found = li.ensemble.run(steps[name], states, dt, round(SPAN / dt), progress=False)
+        found = li.run(steps[name], states, dt, round(SPAN / dt), save_every=None, progress=False)
         return found, time.process_time() - start
 
     first = {case: run(*case) for case in CASES}

@@ -2,7 +2,7 @@
 
 Didymos and Dimorphos under gravity to second order (`potentials.maccullagh`), and 999 systems that differ from them by
 up to 2 %, over two orbits, a primary's day a fifth of one. The error is that of x₂ − x₁, relative, against
-`diagnostics.flow`; a second reference is scipy's DOP853 at 1e-13. Ours through `ensemble.run`, one system in a compiled
+`diagnostics.flow`; a second reference is scipy's DOP853 at 1e-13. Ours through `li.run`, one system in a compiled
 loop; diffrax on our right-hand side, vmapped; heyoka and scipy on the relative motion, 20 numbers in place of our 26,
 with body momenta, heyoka eight systems at once. Then 64 waters beside jax_md (`pip install jax_md`; left out without
 it), and a step's time and memory against N and B. Everything is called in turn in one process pinned to one core (as

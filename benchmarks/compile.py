@@ -99,15 +99,15 @@ def others() -> list[dict[str, Any]]:
     states = jax.vmap(lambda w: body.state(angular_velocity=w))(jnp.eye(4, 3) + 0.1)
     one = jax.tree.map(lambda x: x[0], states)
     step, solution = li.schemes.so3_midpoint(body), jax.jit(jax.vmap(body.solution, (0, None)))
-    run = functools.partial(li.ensemble.run, num_steps=STEPS, progress=False)
+    run = functools.partial(li.run, num_steps=STEPS, save_every=None, progress=False)
     orbiting, start, dt = example(*next(x for x in pairs(("gravity_gradient",)) if x[1] == "splitting"))
     satellites = jax.tree.map(lambda x: jnp.stack([x] * 4), start)
 
     calls = {
         "integrate, not jitted": lambda: li.integrate(step, one, 0.05, STEPS),
-        "ensemble.run": lambda: run(step, states, 0.05),
-        "ensemble.run, the range of the energy": lambda: run(step, states, 0.05, reduce="energy"),
-        "ensemble.run, satellites on an orbit": lambda: run(orbiting, satellites, dt),
+        "li.run": lambda: run(step, states, 0.05),
+        "li.run, the range of the energy": lambda: run(step, states, 0.05, reduce="energy"),
+        "li.run, satellites on an orbit": lambda: run(orbiting, satellites, dt),
         "body.solution, vmapped": lambda: solution(states, 1.0),
     }
     return [{"call": name, **waited(call, LATER)} for name, call in calls.items()]

@@ -1,7 +1,7 @@
 """Satellites under gravity's gradient: what does a driven top cost beside one at rest, and an accuracy beside peers?
 
 Bodies of inertia (1, 2, 3) on an orbit with e = 0.1 and mean motion 1, from its periapsis on; random attitudes, body
-velocities random in the unit ball. Rates at dt = 0.05, ours through `ensemble.run`: the splitting of a heavy top, and
+velocities random in the unit ball. Rates at dt = 0.05, ours through `li.run`: the splitting of a heavy top, and
 of the satellite at a time that all members share, with the work counted, and with a time for each member. Then the time
 for an attitude error after three orbits, ours by `integrate`, vmapped and jitted. Against diffrax (vmapped, and as one
 solve of the whole batch, which shares its time too), astrojax and heyoka. Everything is called in turn in one process

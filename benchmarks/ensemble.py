@@ -1,12 +1,12 @@
 """How do ensembles scale: with the number of bodies, over devices, against C++ on as many threads, against the machine?
 
 Free rigid bodies of inertia (1, 2, 3) at dt = 0.05, and an example of each other system, float64, through the loop that
-`ensemble.run` compiles. Contestants are timed in turn, round after round, so that a slow spell of the machine affects
+`li.run` compiles. Contestants are timed in turn, round after round, so that a slow spell of the machine affects
 all alike; a rate is that of the best call.
 
     python benchmarks/ensemble.py [--quick] [--out DIR] [--only PART …]
 
-Parts: `sizes` (bodies from 1 to a million), `cpp` (whole calls of `ensemble.run` against C++), `systems` (a thousand of
+Parts: `sizes` (bodies from 1 to a million), `cpp` (whole calls of `li.run` against C++), `systems` (a thousand of
 each), `peers`, `threads` (C++ and ours on one core and on all; strong scaling is the same bodies on more devices, weak
 scaling as many bodies on each), `roofline` (the operations that XLA counts in a step, against the core's peak). Each
 part runs in a process of its own, pinned to a core before JAX starts; `threads` also runs in a second one without the
@@ -85,8 +85,7 @@ def ours(step: Any, states: Any, dt: float, num_steps: int, devices: int = 1) ->
     import jax.numpy as jnp
     import numpy as np
 
-    from lieint_jax import ensemble
-    from lieint_jax.runs import UniformClock
+    from lieint_jax.runs import UniformClock, first_devices
     from lieint_jax.runs._job.devices import layout_of
     from lieint_jax.runs._job.engine import engine_of
     from lieint_jax.runs._job.job import Job
@@ -95,7 +94,7 @@ def ours(step: Any, states: Any, dt: float, num_steps: int, devices: int = 1) ->
     clock = jax.tree.map(np.asarray, UniformClock(jnp.zeros(()), jnp.asarray(dt)))
     states = jax.tree.map(np.asarray, states)
     job = Job(step, states, None, dt, clock, num_steps, nodes * dt, nodes, None, num_steps, None, None)
-    mesh = ensemble.first_devices(None)
+    mesh = first_devices(None)
     engine = engine_of(job, mesh, devices)
     layout = layout_of(mesh, len(states.p))
     given, start = engine.start(layout)
@@ -146,10 +145,10 @@ def sizes(quick: bool, _: int) -> Any:
 
 
 def whole_runs(quick: bool, _: int) -> Any:
-    """Rates of whole calls of `ensemble.run`, and of C++ that keeps the same reports, for 1000 bodies.
+    """Rates of whole calls of `li.run`, and of C++ that keeps the same reports, for 1000 bodies.
 
     "C++" is a loop over steps of a loop over bodies, which g++ vectorizes; "C++ in blocks" one over blocks of bodies,
-    each of which makes all steps, as machine code of `ensemble.run` does.
+    each of which makes all steps, as machine code of `li.run` does.
     """
     from lib import cpp, measure, tops
 
@@ -169,7 +168,7 @@ def whole_runs(quick: bool, _: int) -> Any:
     ]
     calls: dict[str, Callable[[], Any]] = {}
     for name, step, rivals, _bar in entries:
-        calls[f"{name}|ours"] = lambda step=step: li.ensemble.run(step, states, dt, n, progress=False)
+        calls[f"{name}|ours"] = lambda step=step: li.run(step, states, dt, n, save_every=None, progress=False)
         for kind, rival in rivals.items():
             loaded = rival.load(*measure.bodies(1000))
             calls[f"{name}|{kind}"] = lambda rival=rival, loaded=loaded: rival.advance(loaded, n)
@@ -248,7 +247,7 @@ def torques(quick: bool, _: int) -> Any:
         extra = {key: np.repeat(np.asarray(x)[None], 1000, axis=0) for key, x in (more.extra or {}).items()} or None
         states = more._replace(q=q, p=p, extra=extra)
         step = li.schemes.torqued_midpoint(body)
-        seconds = best({"": partial(li.ensemble.run, step, states, measure.DT, n, progress=False)}, 3)[""]
+        seconds = best({"": partial(li.run, step, states, measure.DT, n, progress=False)}, 3)[""]
         found[name] = 1000 * n / seconds
     return found
 
@@ -325,7 +324,7 @@ def roofline(quick: bool, _: int) -> Any:
     import jax
     import numpy as np
 
-    from lieint_jax.ensemble import compiler_options
+    from lieint_jax.runs import compiler_options
 
     states, found = bodies(1024), {}
     for name, step in free_steps().items():
@@ -379,7 +378,7 @@ def whole_runs_table(found: Any) -> list[str]:
         ratios = (f"{x:.2f}" for x in (r["ours"] / blocks, ratio))
         rows.append([r["name"], *rates, *ratios, f"≥ {r['bar']:g}", report.verdict(ratio, ratio >= r["bar"])])
     title = (
-        "Millions of body-steps a second of whole calls of `ensemble.run`, 1000 bodies × 50 000 steps, one core; C++ "
+        "Millions of body-steps a second of whole calls of `li.run`, 1000 bodies × 50 000 steps, one core; C++ "
         "as a loop over steps of a loop over bodies, and over blocks of 16 bodies, each of which makes all steps"
     )
     head = ["", "ours", "C++", "C++ in blocks", "ours ÷ C++ in blocks", "ours ÷ C++", "bar", ""]

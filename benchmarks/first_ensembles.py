@@ -1,7 +1,7 @@
 """How long does one wait for the first ensemble: by every scheme on every kind of system?
 
 For each kind of system and every scheme, the first example that the scheme accepts, float64, one core: CPU seconds of
-the first `ensemble.run` of 100 members in a fresh process with nothing cached (the import and the making of the states
+the first `li.run` of 100 members in a fresh process with nothing cached (the import and the making of the states
 are not counted), of the second call, and the engine.
 
     python benchmarks/first_ensembles.py [--quick] [--out DIR]
@@ -39,7 +39,7 @@ def rows(quick: bool) -> list[dict[str, Any]]:
 
 
 def waited(system: str, scheme: str, name: str) -> dict[str, Any]:
-    """CPU seconds of the first and the second call of `ensemble.run`, and the engine."""
+    """CPU seconds of the first and the second call of `li.run`, and the engine."""
     import jax
     import numpy as np
 
@@ -56,7 +56,7 @@ def waited(system: str, scheme: str, name: str) -> dict[str, Any]:
 
     def seconds() -> float:
         begin = time.process_time()
-        li.ensemble.run(step, states, dt, STEPS, progress=False)
+        li.run(step, states, dt, STEPS, progress=False, save_every=None)
         return time.process_time() - begin
 
     first, second = seconds(), seconds()
@@ -75,7 +75,7 @@ def render(data: dict[str, Any]) -> list[str]:
     ]
     worst = max(data["rows"], key=lambda r: r["first"])
     return [
-        f"First `ensemble.run` of {MEMBERS} members, {STEPS} steps, in a fresh process, nothing cached, one core",
+        f"First `li.run` of {MEMBERS} members, {STEPS} steps, in a fresh process, nothing cached, one core",
         f"Load of the machine before and after: {before:.2f}, {after:.2f}",
         report.table(["system", "step", "first, CPU s", "second, CPU ms", "by"], cells),
         f"Slowest: {worst['step']} of {worst['system']}, {worst['first']:.2f} s",

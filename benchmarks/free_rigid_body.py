@@ -1,7 +1,7 @@
 """How many body-steps a second, how accurate, how conserving, against C++ of the same scheme and what one would use?
 
 Free rigid bodies of inertia (1, 2, 3), random attitudes, body velocities random in the unit ball, dt = 0.05. Ours are
-whole calls of `ensemble.run`, in one row a custom `jax.vmap`. Everything runs in one process pinned to one core (as
+whole calls of `li.run`, in one row a custom `jax.vmap`. Everything runs in one process pinned to one core (as
 Linux can); "all cores" is a second process without the pin. Contestants are called in turn; a rate is that of the best
 call, with the median next to it.
 

@@ -1,7 +1,7 @@
 """How fast is an ensemble on a GPU: as one kernel, as XLA's loop over steps, and on the CPU beside it?
 
 `jax.jit(jax.vmap(li.integrate))` with the result left on the device, for free bodies, tops, and steps of other kinds;
-then gradients, and `ensemble.run`, which brings its result to the host. Energy is compared with that at the start, in
+then gradients, and `li.run`, which brings its result to the host. Energy is compared with that at the start, in
 the precision of the run. Without a GPU, `--quick` lets Pallas interpret the kernels, to see the script at work.
 
     python benchmarks/gpu_kernels.py [--quick] [--only NAME …] [--out DIR]
@@ -138,15 +138,15 @@ def _row(name: str, problem: tuple[Any, Any, Any], members: int, steps: int, has
 
 
 def _whole_run(step: Any, state: Any, members: int, steps: int, has_gpu: bool) -> dict[str, Any]:
-    """`ensemble.run`, from the host to the host."""
+    """`li.run`, from the host to the host."""
     states = _states(step, state, members)
 
     def run() -> Any:
-        return li.ensemble.run(step, states, 0.05, steps, save_every=steps, progress=False).state.p
+        return li.run(step, states, 0.05, steps, save_every=steps, progress=False).state.p
 
     first, _ = _seconds(run, ())
     seconds = min(_seconds(run, ())[0] for _ in range(3))
-    row = {"name": "free body, ensemble.run", "dtype": str(states.p.dtype), "members": members, "steps": steps}
+    row = {"name": "free body, li.run", "dtype": str(states.p.dtype), "members": members, "steps": steps}
     return row | {"kernel" if has_gpu else "CPU": members * steps / seconds, "first kernel": first}
 
 

@@ -4,7 +4,7 @@ Heavy plates of inertia (1, 2, 3), each fixed at one of its points, weight (0.9,
 Random attitudes, body velocities random in the unit ball, dt = 0.05. Ours (the energy-momentum scheme with three κ's,
 the splitting, both composed) against C++ of the same schemes, diffrax, MuJoCo and (for accuracy) heyoka, called in turn
 in one process pinned to one core (as Linux can).
-Ours are whole calls of `ensemble.run`. The reference is `diagnostics.flow`, Gauss collocation of order 16.
+Ours are whole calls of `li.run`. The reference is `diagnostics.flow`, Gauss collocation of order 16.
 
     python benchmarks/heavy_top.py [--quick] [--out DIR]
 """

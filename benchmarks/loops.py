@@ -1,7 +1,7 @@
 """What do loops of the package cost in users' own code: a run inside jit, its gradient, a short call, a first call?
 
 CPU time of one core, contestants in turn in one process, the least of the rounds. Runs of 1000 members by
-`ensemble.run` and by `jax.jit(jax.vmap(integrate))`; gradients of a mean over their ends with respect to all numbers of
+`li.run` and by `jax.jit(jax.vmap(integrate))`; gradients of a mean over their ends with respect to all numbers of
 the step, such as the inertia, by undoing steps and by checkpoints (the default); the same of one body. Short calls, of
 one step of free bodies, over a jitted addition; what the step itself takes is found from a longer run. First calls in
 fresh processes with nothing cached; imports are not counted. Last, `li.fit` of the same function twice.
@@ -121,7 +121,7 @@ def time_members(step: Any, state: Any, steps: int, members: int, rounds: int) -
     calls = contestants(step, state, steps)
     engines = {name: sorted({x.engine for x in li.explain(call, *given).loops}) for name, call in calls.items()}
     timed: dict[str, Callable[[], Any]] = {name: partial(call, *given) for name, call in calls.items()}
-    timed["ensemble.run"] = lambda: li.ensemble.run(step, shared, DT, steps, progress=False).state.q
+    timed["li.run"] = lambda: li.run(step, shared, DT, steps, progress=False, save_every=None).state.q
     return {"steps": steps, "members": members, "engines": engines, **command.least_cpu_times(timed, rounds)}
 
 
@@ -136,7 +136,7 @@ def time_one_body(step: Any, state: Any, steps: int, short: int, rounds: int) ->
     given = arguments(step, state, None)
     timed: dict[str, Callable[[], Any]] = {name: partial(call, *given) for name, call in calls.items()}
     timed["long run"] = lambda: li.integrate(step, state, DT, steps, save_every=steps).state.q
-    timed["ensemble.run"] = lambda: li.ensemble.run(step, member, DT, steps, progress=False).state.q
+    timed["li.run"] = lambda: li.run(step, member, DT, steps, progress=False, save_every=None).state.q
     return {"steps": steps, "short": short, **command.least_cpu_times(timed, rounds)}
 
 
@@ -225,7 +225,7 @@ def render(data: dict[str, Any]) -> list[str]:
         [
             f"{x['name']}{'' if x['engines'][UNDONE] == ['native'] else ' (not machine code)'}",
             f"{x['members'] * x['steps'] / x[VALUE] / 1e6:.1f}",
-            over(x[VALUE] / x["ensemble.run"], 1.2),
+            over(x[VALUE] / x["li.run"], 1.2),
             over(x[UNDONE] / x[VALUE], 6),
             over(x[STORED] / x[VALUE], 8 if "free" in x["name"] else 6),
         ]
@@ -234,7 +234,7 @@ def render(data: dict[str, Any]) -> list[str]:
     alone = [
         [
             x["name"],
-            over(x["long run"] / x["ensemble.run"], 1.2),
+            over(x["long run"] / x["li.run"], 1.2),
             *(over(x[way] / x[VALUE], 12) for way in (UNDONE, STORED)),
         ]
         for x in data["one"]
@@ -250,14 +250,12 @@ def render(data: dict[str, Any]) -> list[str]:
     fit = data["fit"]
     return [
         report.machine(data) + ", load {:.1f} to {:.1f}; * above the bar".format(*data["load"]),
-        f"Runs of {data['many'][0]['members']} members. Bars: 1.2 × `ensemble.run`; gradients 6 × the run (free bodies "
+        f"Runs of {data['many'][0]['members']} members. Bars: 1.2 × `li.run`; gradients 6 × the run (free bodies "
         "by checkpoints 8)",
-        report.table(
-            ["", "million steps a second", "÷ ensemble.run", "by undoing ÷ run", "by checkpoints ÷ run"], runs
-        ),
-        f"One body: {data['one'][0]['steps']} steps, gradients {data['one'][0]['short']}. Bars: 1.2 × `ensemble.run`; "
+        report.table(["", "million steps a second", "÷ li.run", "by undoing ÷ run", "by checkpoints ÷ run"], runs),
+        f"One body: {data['one'][0]['steps']} steps, gradients {data['one'][0]['short']}. Bars: 1.2 × `li.run`; "
         "gradients 12 × the run",
-        report.table(["", "÷ ensemble.run", "by undoing ÷ run", "by checkpoints ÷ run"], alone),
+        report.table(["", "÷ li.run", "by undoing ÷ run", "by checkpoints ÷ run"], alone),
         "A call of one step, microseconds. Bar: 15 over an addition and the step",
         report.table(["members", "addition", "one step", "in a longer run", "difference"], short),
         "First calls in fresh processes, CPU seconds. Bars: values 1 s (3 s), gradients 2.5, 2.5, 5 and 8 s",

@@ -1,6 +1,6 @@
 """What do a long run and a gradient cost for one body or few, where vectors of members do not help?
 
-Runs of one body, by `integrate` and by `ensemble.run` of one member. Gradients by undoing steps, `reversible`, of a
+Runs of one body, by `integrate` and by `li.run` of one member. Gradients by undoing steps, `reversible`, of a
 mean over 1, 100 and 1000 free bodies, as in `gradients.py`, compiled by `jax.jit` and by `li.jit`, over the forward run
 of `integrate` by `jax.jit`. CPU time of one core, the contestants in turn in one process, the least of the rounds.
 
@@ -39,7 +39,7 @@ def long_runs(steps: int, rounds: int) -> list[dict[str, Any]]:
         found = command.least_cpu_times(
             {
                 "integrate": lambda: li.integrate(step, state, 0.02, steps, save_every=steps).state.q,  # noqa: B023
-                "ensemble": lambda: li.ensemble.run(step, member, 0.02, steps, progress=False).state.q,  # noqa: B023
+                "ensemble": lambda: li.run(step, member, 0.02, steps, progress=False, save_every=None).state.q,  # noqa: B023
             },
             rounds,
         )
@@ -98,7 +98,7 @@ def main() -> None:
     sections = [
         report.machine(result) + ", load {:.1f} to {:.1f}".format(*result["load"]),
         f"Nanoseconds a step of one body, {steps} steps",
-        report.table(["", "integrate", "ensemble.run", "integrate ÷ ensemble.run"], runs),
+        report.table(["", "integrate", "li.run", "integrate ÷ li.run"], runs),
         f"Gradients by undoing {steps // 20} steps: time over that of the forward run",
         report.table(["bodies", "jax.jit", "li.jit", "li.jit ÷ jax.jit"], over),
     ]

@@ -158,7 +158,7 @@ def curve(name: str, solvers: list[Solver], exact: np.ndarray) -> dict[str, Any]
 
 
 def ours(body: Any, rule: Any, dt: float = DT, order: int = 2) -> Solver:
-    """Our step, composed beyond order 2, by whole calls of `ensemble.run`."""
+    """Our step, composed beyond order 2, by whole calls of `li.run`."""
     import jax
 
     import lieint_jax as li
@@ -168,8 +168,13 @@ def ours(body: Any, rule: Any, dt: float = DT, order: int = 2) -> Solver:
         step = li.schemes.compose(step, order)
 
     def advance(F: np.ndarray, P: np.ndarray, t: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        run = li.ensemble.run(
-            step, li.State(jax.numpy.asarray(F), jax.numpy.asarray(P)), dt, round(t / dt), progress=False
+        run = li.run(
+            step,
+            li.State(jax.numpy.asarray(F), jax.numpy.asarray(P)),
+            dt,
+            round(t / dt),
+            progress=False,
+            save_every=None,
         )
         return np.asarray(run.state.q[-1]), np.asarray(run.state.p[-1]), np.asarray(run.info.converged[-1])
 

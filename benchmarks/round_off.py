@@ -112,7 +112,7 @@ def _loop(name: str, watch: bool) -> Callable[..., Any]:
     from jax import lax
     from lib import measure
 
-    from lieint_jax.ensemble import compiler_options
+    from lieint_jax.runs import compiler_options
     from lieint_jax.types import State
 
     step, body = variants()[name], measure.body()

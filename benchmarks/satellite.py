@@ -1,7 +1,7 @@
 """A satellite with five laws of torque: what does a step cost, next to a torque-free one, astrojax's RK4 and Basilisk?
 
 Gravity gradient on a circle, a dipole, limited B-dot and drag in a field that changes with time, and three wheels with
-motors; 0.05 a step, work counted. Ours by `ensemble.run`, astrojax's RK4 vmapped and jitted with a time that all bodies
+motors; 0.05 a step, work counted. Ours by `li.run`, astrojax's RK4 vmapped and jitted with a time that all bodies
 share and the same equations (attitude, momentum, wheels). CPU time of one core per body and step, the contestants in
 turn in one process; the least and the median of the rounds. Compilation is not counted. The ends are compared.
 
@@ -67,7 +67,7 @@ def contestants(bodies: int) -> dict[str, Callable[[], Any]]:
 
     def ours(body: Any, state: Any) -> Callable[[], Any]:
         step, states = li.schemes.torqued_midpoint(body), batch(state)
-        return lambda: li.ensemble.run(step, states, DT, STEPS, save_every=STEPS, progress=False).state.q[-1]
+        return lambda: li.run(step, states, DT, STEPS, save_every=STEPS, progress=False).state.q[-1]
 
     def by_rk4() -> Callable[[], Any]:
         states = batch(state)

@@ -2,7 +2,7 @@
 
 From the measured rate of one core follow core hours, bytes, requests and costs of 10⁹ free bodies × 10⁵ steps. Then
 workers start, die and resume in virtual time, against the real commit code with objects in memory and injected latency.
-At last the peak memory of processes that run, compared with `ensemble.peak_memory`.
+At last the peak memory of processes that run, compared with `li.peak_memory`.
 
     python benchmarks/scale.py [--quick] [--out DIR]
 """
@@ -236,14 +236,14 @@ options |= {"made": options["part"] | {"members": members}}
 def made(numbers):
     return jax.tree.map(lambda x: np.asarray(x)[numbers % 64], few)
 def go(states, saves):
-    return li.ensemble.run(step, states, dt=0.05, num_steps=2 * saves, save_every=2, progress=False, **options[kind])
-li.ensemble.run(step, few, dt=0.05, num_steps=4, save_every=2, progress=False, reduce=options[kind].get("reduce"))
+    return li.run(step, states, dt=0.05, num_steps=2 * saves, save_every=2, progress=False, **options[kind])
+li.run(step, few, dt=0.05, num_steps=4, save_every=2, progress=False, reduce=options[kind].get("reduce"))
 states = jax.tree.map(lambda x: jnp.tile(x, (members // 64, 1)), few) if kind != "made" else None
 before = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
 result = go(made if kind == "made" else states, saves)
 after = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
 chosen = options[kind]
-given = li.ensemble.peak_memory(
+given = li.peak_memory(
     made if kind == "made" else states, saves + 1, store=chosen.get("store"), part=chosen.get("part"),
     reduce=kind == "reduce", save_every=2, members=chosen.get("members"),
 )
@@ -268,7 +268,7 @@ def memory_cases(quick: bool) -> list[tuple[int, int, str]]:
 
 
 def measured_memory(members: int, saves: int, kind: str) -> dict[str, Any]:
-    """The growth of a process' peak memory by a run, and `ensemble.peak_memory`."""
+    """The growth of a process' peak memory by a run, and `li.peak_memory`."""
     import tempfile
 
     with tempfile.TemporaryDirectory() as folder:
@@ -285,7 +285,7 @@ def memories(rows: list[dict[str, Any]], report: Any) -> list[str]:
         for r in rows
     ]
     return [
-        "Peak memory of a run above that of the process before it, MB, and what `ensemble.peak_memory` gives before",
+        "Peak memory of a run above that of the process before it, MB, and what `li.peak_memory` gives before",
         report.table(["results", "members", "saves", "measured", "given"], cells),
         "`part` is part 0 of 4 of the members, and `made` the same with the states as a function, so that the process "
         "has only those of its own members. A run into a store holds two buffers of rows, one that is filled and one "

@@ -4,7 +4,7 @@ Kirchhoff's ellipsoid of semi-axes 3, 2, 1 with its center of mass off its cente
 coupled. Random motions q, body velocities random in the unit ball of ℝ⁶, dt = 0.05. Ours (`schemes.group_midpoint` with
 two maps) against diffrax's Tsit5 on the same right-hand side, q' = qΩ̂ with Ω = m⁻¹Ad*_q π, called in turn in one
 process pinned to one core (as Linux can). The reference is `diagnostics.flow`, Gauss collocation of order 16.
-Ours are whole calls of `ensemble.run`; "wide vectors" are XLA's vectors of 512 bits, `ensemble.compiler_options()`.
+Ours are whole calls of `li.run`; "wide vectors" are XLA's vectors of 512 bits, `runs.compiler_options()`.
 
     python benchmarks/se3.py [--quick] [--out DIR]
 """

@@ -30,7 +30,7 @@ def ours(moments: list[float], bodies: int) -> list[Any]:
     step, at_rest = li.schemes.langevin(body, 1.0, FRICTION), body.state(angular_velocity=jnp.zeros(3))
     states = jax.vmap(lambda key: step.start(at_rest, key=key))(jax.random.split(jax.random.key(1), bodies))
     steps = BETWEEN * (FIRST + TIMES - 1)
-    run = li.ensemble.run(step, states, DT, steps, save_every=BETWEEN, progress=False)
+    run = li.run(step, states, DT, steps, save_every=BETWEEN, progress=False)
     Pi = jax.vmap(jax.vmap(so3.Ad_star))(jnp.asarray(run.state.q[FIRST:]), jnp.asarray(run.state.p[FIRST:]))
     return [Pi**2 / jnp.asarray(moments)]
 

@@ -101,7 +101,7 @@ def ours(sun: bool, orbits: int, saves: int) -> dict[str, Any]:
     states = jax.tree.map(lambda x: x[None], state)._replace(t=state.t)
     step, began = li.schemes.bodies_energy_momentum(bodies), time.perf_counter()
     steps = 100 * orbits
-    run = li.ensemble.run(step, states, 0.01, steps, save_every=steps // saves, progress=False)
+    run = li.run(step, states, 0.01, steps, save_every=steps // saves, progress=False)
     seconds = time.perf_counter() - began
     assert run.info.converged.all()
     path = jax.tree.map(lambda x: jnp.asarray(x[:, 0]), run.state._replace(t=None))

@@ -9,7 +9,7 @@ Six problems, 1000 members each, in one process pinned to one core (as Linux can
 - asteroids that tumble past the Earth on Apophis' hyperbola.
 
 Each scheme at several numbers of steps, each adaptive peer at several tolerances; everything that XLA compiles is
-compiled as `ensemble.run` does, for full-width vectors. Ours are whole calls of `ensemble.run`, but for t = 10. heyoka
+compiled as `li.run` does, for full-width vectors. Ours are whole calls of `li.run`, but for t = 10. heyoka
 is in all problems. Errors are the median and the largest over all members (MuJoCo and scipy: 16). The reference is the
 closed form of the free body, heyoka in 80-bit arithmetic for tops, `diagnostics.flow` for the others; its distance from
 a second reference is stated. A quick run takes one contestant of each family.

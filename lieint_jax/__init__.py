@@ -20,7 +20,8 @@ A system and a scheme make a step; a step and states make a run.
 | `run`, `open` | runs that you keep, of one body or of many, over cores, devices and processes, in memory or on disk |
 | `integrate`, `event`, `interpolate` | inside jit, vmap, grad: trajectories, and when a condition changes its sign |
 | `submit` | a run in parts on a cluster: Dask, SLURM, MPI, any executor |
-| `ensemble` | older names of `run` and `open`; `over_members`, processes, parts of a run |
+| `over_members`, `count_cores` | any function over the members of a batch, on all cores, and how many there are |
+| `StoreOptions`, `peak_memory`, `part_of_task` | what large runs need: units of a store, memory, the part of a task |
 | `equilibrium`, `normal_modes` | relative equilibria, frequencies of small oscillations, stability |
 | `diagnostics` | what a step conserves, its order, its linearization; chaos |
 | `measure` | what a run shows: periods, librations, orbits, spectra, light curves |
@@ -53,7 +54,6 @@ from lieint_jax import (
     dates,
     diagnostics,
     elliptic,
-    ensemble,
     files,
     fitting,
     groups,
@@ -75,7 +75,23 @@ from lieint_jax._xla import jit
 from lieint_jax.diagnostics import equilibrium, normal_modes
 from lieint_jax.fitting import fit
 from lieint_jax.native import engine, explain, scan
-from lieint_jax.runs import Event, Run, event, integrate, interpolate, observe, reversible, run, submit, transition
+from lieint_jax.runs import (
+    Event,
+    Run,
+    StoreOptions,
+    count_cores,
+    event,
+    integrate,
+    interpolate,
+    observe,
+    over_members,
+    part_of_task,
+    peak_memory,
+    reversible,
+    run,
+    submit,
+    transition,
+)
 from lieint_jax.runs import open_run as open  # noqa: A004
 from lieint_jax.types import State, Step, StepInfo, Trajectory, pytree, static
 
@@ -88,17 +104,18 @@ __all__ = [
     "State",
     "Step",
     "StepInfo",
+    "StoreOptions",
     "Trajectory",
     "__version__",
     "adjoints",
     "attitude",
     "cache_programs",
     "capabilities",
+    "count_cores",
     "dates",
     "diagnostics",
     "elliptic",
     "engine",
-    "ensemble",
     "equilibrium",
     "event",
     "explain",
@@ -115,6 +132,9 @@ __all__ = [
     "observe",
     "open",
     "orbits",
+    "over_members",
+    "part_of_task",
+    "peak_memory",
     "phase_spaces",
     "potentials",
     "pytree",

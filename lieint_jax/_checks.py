@@ -534,7 +534,7 @@ def of_one_system(name: str, value: Input, d: int = 3) -> None:
         raise ValueError(
             f"{name} of one system is ({d},) or symmetric, ({d}, {d}), got shape {shape}"
             f"{', not symmetric' if skewed else ''}. For members with systems of their own, give li.run "
-            "own_step=True (ensemble.run step_axis=0), or use jax.vmap; for one of them, "
+            "own_step=True, or use jax.vmap; for one of them, "
             "jax.tree.map(lambda x: x[k], system)"
         )
 

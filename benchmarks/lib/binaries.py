@@ -23,7 +23,7 @@ from lib.taylor import cross, dot, rotate
 from scipy.integrate import solve_ivp
 
 import lieint_jax as li
-from lieint_jax.ensemble import compiler_options
+from lieint_jax.runs import compiler_options
 from lieint_jax.systems import RigidBodies
 
 ORBITS = 2
@@ -258,7 +258,7 @@ def growth_with_bodies(counts: Sequence[int], seconds: float) -> list[dict[str, 
 
 
 def growth_with_systems(counts: Sequence[int], seconds: float) -> list[dict[str, Any]]:
-    """Seconds and bytes of a step of each of so many binaries with `splitting`, in one loop and in `ensemble.run`."""
+    """Seconds and bytes of a step of each of so many binaries with `splitting`, in one loop and in `li.run`."""
     found, step = [], li.schemes.splitting(binary())
     for count in counts:
         q, p = start(count)

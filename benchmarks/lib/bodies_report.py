@@ -44,7 +44,7 @@ def _sections(result: dict[str, Any]) -> list[str]:
         _waters(result["waters"]),
         "How does a step of `splitting` grow with the number of bodies? One system; bytes beside its state",
         _growth(result["bodies"], "bodies", ["seconds"]),
-        "And with the number of binaries? In one compiled loop of all, with the bytes of that; and in `ensemble.run`",
+        "And with the number of binaries? In one compiled loop of all, with the bytes of that; and in `li.run`",
         _growth(result["systems"], "systems", ["seconds", "ensemble_seconds"]),
         f"All points. `diagnostics.flow` and DOP853 are apart by {accuracy['reference_doubt']:.1e}",
         _points(accuracy),
@@ -98,7 +98,7 @@ def _growth(records: list[dict[str, Any]], by: str, times: list[str]) -> str:
             row.append((f"{r[key] / 1e6:.3g}" if key == "bytes" else f"{1e6 * r[key]:.4g}") + grown)
         rows.append(row)
         before = r
-    heads = {"seconds": "µs a step", "ensemble_seconds": "µs a step, ensemble.run", "bytes": "MB"}
+    heads = {"seconds": "µs a step", "ensemble_seconds": "µs a step, li.run", "bytes": "MB"}
     return report.table([by, *(heads[key] for key in keys)], rows)
 
 

@@ -20,10 +20,9 @@ from lib import cpp, peers
 from lib.contest import Contestant, Timing, race, steps_lasting
 
 import lieint_jax as li
-from lieint_jax import ensemble
-from lieint_jax.ensemble import compiler_options
 from lieint_jax.groups import so3
 from lieint_jax.maps import Kappa, kappa_cayley, kappa_exponential, kappa_symplectic
+from lieint_jax.runs import compiler_options
 from lieint_jax.systems import RigidBody
 
 jax.config.update("jax_enable_x64", True)
@@ -101,7 +100,7 @@ def ours(
     pace: float = 1e6,
     times: Callable[[int], np.ndarray] | None = None,
 ) -> Contestant:
-    """A step through `ensemble.run`, the whole call; `start` adds to states (q, p) what else the initial ones hold.
+    """A step through `li.run`, the whole call; `start` adds to states (q, p) what else the initial ones hold.
 
     With `times`, number of steps ↦ step boundaries, those are taken in place of steps of dt.
     """
@@ -112,7 +111,7 @@ def ours(
 
     def advance(states: tuple[li.State, Any], num_steps: int) -> tuple[li.State, Any]:
         given: dict[str, Any] = {"dt": dt, "num_steps": num_steps} if times is None else {"times": times(num_steps)}
-        run = ensemble.run(step, states[0], **given, progress=False)
+        run = li.run(step, states[0], **given, save_every=None, progress=False)
         return jax.tree.map(lambda x: x[-1], (run.state, run.info))
 
     return Contestant(name, dtype, pace, load, advance, read_states, solve_info)

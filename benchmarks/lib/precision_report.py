@@ -136,7 +136,7 @@ def _bars_of_free_bodies(problems: Sequence[Record]) -> list[str]:
     verdict = report.verdict(drift, drift <= DRIFT)
     where = f"{worst['curve']}, {setting(worst)}"
     rows.append(["energy drift, every point of these", where, "", "", f"{drift:.1e}", f"≤ {DRIFT:g}", verdict])
-    title = "Bars of the free body at t = 10 for the largest error, ours in a compiled loop without `ensemble.run`"
+    title = "Bars of the free body at t = 10 for the largest error, ours in a compiled loop without `li.run`"
     return [title, report.table(["", "by", "ms", "÷ ms", "ratio", "bar", ""], rows)]
 
 

@@ -1,6 +1,6 @@
 """The problems of `work_precision.py`, and who takes part in each.
 
-A contestant is one line: its name, family, step and numbers of steps. Ours run through `ensemble.run`, the whole call
+A contestant is one line: its name, family, step and numbers of steps. Ours run through `li.run`, the whole call
 of which is timed. Importing this imports jax: pin the process to a core first.
 """
 
@@ -46,7 +46,7 @@ Ours = Callable[..., Curve]  # (name, kind, step, counts) ↦ curve
 
 
 def ours(name: str, kind: str, step: li.Step, counts: Sequence[int], **how: Any) -> Curve:
-    """A curve of ours through `ensemble.run`, `how` as in `measure.ours`."""
+    """A curve of ours through `li.run`, `how` as in `measure.ours`."""
     return Curve(name, kind, partial(measure.ours, name, step, **how), counts, rough=kind == ROUGH)
 
 
@@ -100,7 +100,7 @@ def directions(count: int, seed: int, n: int = 3) -> np.ndarray:
 
 
 def free_body_soon() -> Problem:
-    """Free bodies to t = 10, ours in a compiled loop without `ensemble.run`, whose call alone takes longer."""
+    """Free bodies to t = 10, ours in a compiled loop without `li.run`, whose call alone takes longer."""
     body, make = measure.body(), li.schemes
     base = make.so3_midpoint(body)
 

@@ -93,7 +93,7 @@ def everything(basilisk: str | None, bodies: int, rounds: int) -> dict[str, Any]
 
     def run(step: li.Step, bodies: int, steps: int) -> Callable[[], Any]:
         states = jax.tree.map(lambda x: jnp.broadcast_to(x, (bodies, *x.shape)), state)
-        return lambda: li.ensemble.run(step, states, DT, steps, save_every=steps, progress=False).state.q[-1]
+        return lambda: li.run(step, states, DT, steps, save_every=steps, progress=False).state.q[-1]
 
     def end(body: Any, dt: float = DT) -> Any:
         steps = round(STEPS * DT / dt)

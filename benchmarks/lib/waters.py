@@ -19,8 +19,8 @@ from jax import lax
 from lib.measure import WIDE
 
 import lieint_jax as li
-from lieint_jax.ensemble import compiler_options
 from lieint_jax.groups import so3
+from lieint_jax.runs import compiler_options
 from lieint_jax.systems import RigidBodies
 
 SIDE, SPACING, THERMAL = 4, 0.31, 2.494  # bodies on an edge; nm; kT at 300 K, kJ/mol

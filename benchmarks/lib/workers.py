@@ -18,7 +18,7 @@ import jax.numpy as jnp
 import numpy as np
 
 import lieint_jax as li
-from lieint_jax.ensemble import archives
+from lieint_jax.runs import store as archives
 from lieint_jax.runs._job import job as _job
 from lieint_jax.runs._job import make_job as _make_job
 from lieint_jax.runs._job.engine import Engine

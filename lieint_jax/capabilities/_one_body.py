@@ -9,7 +9,6 @@ import jax
 import jax.numpy as jnp
 from jax import Array
 
-from lieint_jax._deprecated import renamed_attribute
 from lieint_jax.capabilities._capability import Capability, equation
 from lieint_jax.groups import so3
 from lieint_jax.phase_spaces import CotangentGroup, EmbeddedRotations
@@ -182,8 +181,6 @@ class AbstractDrivenGyrostat(AbstractRotatingBody):
     @abc.abstractmethod
     def with_rotor(self, rotor: Vector3, /) -> AbstractGyrostat:
         """The gyrostat whose rotor has the constant momentum `rotor`, (3,)."""
-
-    holding = renamed_attribute("holding", "with_rotor")
 
     @equation
     def angular_velocity(self, state: State) -> Vector3:

@@ -82,7 +82,7 @@ def lyapunov(
     """The Lyapunov exponents of a run, the largest first in the limit, by QR decompositions of its tangent flow.
 
     The memory is constant. The exponents of a symplectic step come in pairs ±λ in the limit, and their sum is round-off
-    at any time. Use jax.vmap for many states, or `li.ensemble.over_members` to use all cores. A failed step shows in
+    at any time. Use jax.vmap for many states, or `li.over_members` to use all cores. A failed step shows in
     `info`.
 
     Args:
@@ -216,7 +216,7 @@ def standard_error(series: Array) -> Array:
 def megno(step: Step, state: State, dt: ArrayLike, num_steps: int, *, vector: npt.ArrayLike | None = None) -> Megno:
     """MEGNO of a run, which distinguishes chaotic from regular motion in a shorter run than Lyapunov exponents do.
 
-    The memory is constant. Use jax.vmap for many states, or `li.ensemble.over_members` to use all cores.
+    The memory is constant. Use jax.vmap for many states, or `li.over_members` to use all cores.
 
     Args:
         step, state, dt, num_steps: as in `integrate`.

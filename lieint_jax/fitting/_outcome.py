@@ -35,8 +35,8 @@ class MultiStartResult(NamedTuple, Generic[Params]):
         success: whether each is a success, as in `Fit`, (starts,).
         at_bound: whether each has a parameter at its bound, as in `Fit`, (starts,).
         covariance: covariances as in `Fit`, (starts, p, p), or None if the fit is not by least squares.
-        iterations: the numbers of iterations, (starts,); None in results of version 0.2.
-        failures: the numbers of failed trials, (starts,); None in results of version 0.2.
+        iterations: the numbers of iterations, (starts,).
+        failures: the numbers of failed trials, (starts,).
         stopped: why each search stopped, in words.
         messages: the problem of each and remedies, as in `Fit.message`, without the error of the steps, which is
             measured for the best start alone.
@@ -47,10 +47,10 @@ class MultiStartResult(NamedTuple, Generic[Params]):
     success: np.ndarray
     at_bound: np.ndarray
     covariance: np.ndarray | None
-    iterations: np.ndarray | None = None
-    failures: np.ndarray | None = None
-    stopped: tuple[str, ...] = ()
-    messages: tuple[str, ...] = ()
+    iterations: np.ndarray
+    failures: np.ndarray
+    stopped: tuple[str, ...]
+    messages: tuple[str, ...]
 
     @property
     def standard_errors(self) -> Params:
@@ -64,16 +64,16 @@ class MultiStartResult(NamedTuple, Generic[Params]):
         order = np.argsort(np.where(np.isnan(self.loss), np.inf, self.loss), kind="stable")
         values = np.asarray(jax.vmap(lambda y: ravel_pytree(y)[0])(self.params))[:, :_MOST_COLUMNS]
         names = number_names(jax.tree.map(lambda leaf: leaf[0], self.params))[:_MOST_COLUMNS]
-        made = ["?"] * len(order) if self.iterations is None else self.iterations
-        stopped = self.stopped or ("",) * len(order)
+        columns = self.loss, self.success, self.iterations
+        shown = list(zip(order, *(column[order] for column in columns), strict=True))[:_MOST_ROWS]
         rows = [
-            [k, f"{self.loss[k]:.6g}", "yes" if self.success[k] else "no", made[k], *(f"{x:.6g}" for x in values[k])]
-            for k in order[:_MOST_ROWS]
+            [k, f"{loss:.6g}", "yes" if success else "no", made, *(f"{x:.6g}" for x in values[k])]
+            for k, loss, success, made in shown
         ]
         cells = [[str(cell) for cell in row] for row in (["start", "loss", "success", "iterations", *names], *rows)]
         widths = [max(map(len, column)) for column in zip(*cells, strict=True)]
         edges = [", at a bound" if self.at_bound[k] else "" for k in order[:_MOST_ROWS]]
-        ends = ["stopped", *(f"{stopped[k]}{edge}" for k, edge in zip(order, edges, strict=False))]
+        ends = ["stopped", *(f"{self.stopped[k]}{edge}" for k, edge in zip(order, edges, strict=False))]
         lines = ["  ".join([*map(str.rjust, row, widths), end]) for row, end in zip(cells, ends, strict=True)]
         left = len(order) - len(rows)
         return "\n".join([*lines, *[f"… and {left} more"] * (left > 0)])

@@ -11,7 +11,6 @@ from jax.typing import ArrayLike
 
 from lieint_jax import _checks
 from lieint_jax._checks import concrete
-from lieint_jax._deprecated import old_calls
 from lieint_jax.orbits._earth import EARTH_J2, EARTH_RADIUS
 from lieint_jax.orbits._kepler import Kepler, kepler
 from lieint_jax.types import pytree, static
@@ -71,7 +70,6 @@ class SecularJ2:
         return r, drift * v + jnp.stack(cross(rotation, r))
 
 
-@old_calls
 def secular_j2(
     mu: ArrayLike,
     semi_major_axis: ArrayLike,

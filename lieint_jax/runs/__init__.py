@@ -13,15 +13,14 @@ from lieint_jax.runs._adjoints.reversible import (
     round_trip_error,
 )
 from lieint_jax.runs._adjoints.transition import Ellipse, Transition, transition
-from lieint_jax.runs._host.execute import compute
-from lieint_jax.runs._host.make_run import open_run, run, untransformed
+from lieint_jax.runs._host.make_run import open_run, run
 from lieint_jax.runs._host.memory import peak_memory
 from lieint_jax.runs._host.run import Run
 from lieint_jax.runs._host.submit import Executor, submit
 from lieint_jax.runs._job import processes
 from lieint_jax.runs._job.devices import count_cores, first_devices, want_devices
 from lieint_jax.runs._job.job import Summary
-from lieint_jax.runs._job.loop import Reduction, compiler_options, energy
+from lieint_jax.runs._job.loop import Reduction, compiler_options
 from lieint_jax.runs._job.made_states import MakeStates
 from lieint_jax.runs._job.over_members import over_members
 from lieint_jax.runs._job.part_of_task import part_of_task, part_of_text
@@ -50,6 +49,7 @@ from lieint_jax.runs._march.integrate import (
     trajectory,
 )
 from lieint_jax.runs._march.interpolate import interpolate
+from lieint_jax.runs._storage.storage import StoreOptions
 
 __all__ = [
     "Adjoint",
@@ -61,16 +61,15 @@ __all__ = [
     "Reduction",
     "ReversibleAdjoint",
     "Run",
+    "StoreOptions",
     "Summary",
     "Transition",
     "UniformClock",
     "at_time",
     "clock_of",
     "compiler_options",
-    "compute",
     "count_cores",
     "counted",
-    "energy",
     "event",
     "events",
     "first_devices",
@@ -100,6 +99,5 @@ __all__ = [
     "trajectory",
     "transition",
     "uniform_clock",
-    "untransformed",
     "want_devices",
 ]

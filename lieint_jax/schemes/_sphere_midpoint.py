@@ -78,9 +78,7 @@ class SphereMidpoint(Step):
         )
 
 
-def sphere_midpoint(
-    system: AbstractSphereSystem, normalized: bool = False, iterations: int = 6, *, normalised: bool = False
-) -> SphereMidpoint:
+def sphere_midpoint(system: AbstractSphereSystem, normalized: bool = False, iterations: int = 6) -> SphereMidpoint:
     """The midpoint rule (1.6) for a pendulum, with ∇H at the midpoint.
 
     | | `normalized=False` (1.6) | `normalized=True` |
@@ -96,7 +94,6 @@ def sphere_midpoint(
         system: `systems.pendulum(...)`.
         normalized: whether to replace the mean direction q_m by q_m/|q_m| on the right-hand sides.
         iterations: Newton corrections per step; 6 reach round-off where a step rotates q by less than about a radian.
-        normalised: another spelling of `normalized`.
 
     Raises:
         ValueError: not a pendulum, a bad count.
@@ -104,7 +101,7 @@ def sphere_midpoint(
     Source: Lewis & Simo 1994, Section 1.1 and its closing remark.
     """
     PROPERTIES.check(system)
-    return SphereMidpoint(system, bool(normalized or normalised), _checks.count("iterations", iterations, 1))
+    return SphereMidpoint(system, bool(normalized), _checks.count("iterations", iterations, 1))
 
 
 PROPERTIES = SchemeProperties(

@@ -19,8 +19,7 @@ from lieint_jax.capabilities import AbstractTorquedBody
 from lieint_jax.groups import so3
 from lieint_jax.systems._catalogue import SystemProperties
 from lieint_jax.systems._shared.body import TimedBody
-from lieint_jax.systems._shared.older_laws import MEMBERS, OlderLaw
-from lieint_jax.types import Law, Rotation, State, System, as_law, callable_pytree, clock, labels, pytree
+from lieint_jax.types import Law, Rotation, State, System, as_law, clock, labels, pytree
 from lieint_jax.types.shapes import MomentumMap, Scalar, Time, Vector3
 
 __all__ = ["TorquedBody", "torqued_body"]
@@ -148,16 +147,7 @@ def _law(torque: Any, frame: str | None) -> Law:
     if frame not in (None, "body", "space") or own not in (None, frame or own) or own not in (None, "body", "space"):
         allowed = f'"{own}", the axes of {type(torque).__name__}' if own in ("body", "space") else '"body" or "space"'
         raise ValueError(f"frame must be {allowed}, got {frame or own!r}")
-    if isinstance(torque, Law):
-        return torque
-    more = [name for name in MEMBERS if hasattr(torque, name)]
-    if not more or (more == ["frame"] and callable(torque)):
-        return as_law(torque, frame or own or "body")
-    if jax.tree_util.all_leaves([torque]):
-        raise ValueError(
-            f"a torque with {' and '.join(more)} must be a pytree: decorate {type(torque).__name__} with @li.pytree"
-        )
-    return OlderLaw(callable_pytree(torque), frame or own or "body")
+    return as_law(torque, frame or own or "body")
 
 
 def _check_torque(body: TorquedBody) -> None:

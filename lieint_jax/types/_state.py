@@ -10,7 +10,6 @@ import jax.numpy as jnp
 from jax import Array, lax
 from jax.typing import ArrayLike
 
-from lieint_jax._deprecated import warn_of_removal
 from lieint_jax.types import labeled
 from lieint_jax.types.members import Axis, map_over_run
 from lieint_jax.types.record import record
@@ -89,12 +88,6 @@ class StepInfo(NamedTuple):
     def empty(cls, like: Array) -> StepInfo:
         """The report of no step yet, a scalar of the dtype of `like`."""
         return cls(jnp.zeros((), like.dtype), jnp.ones((), bool))
-
-    @classmethod
-    def fresh(cls, like: Array) -> StepInfo:
-        """The old name of `empty`."""
-        warn_of_removal("StepInfo.fresh is now StepInfo.empty; the old name")
-        return cls.empty(like)
 
 
 @record

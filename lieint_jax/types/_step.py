@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import functools
 from collections.abc import Callable
 from functools import partial
 from typing import Any, Self, TypeVar, final
@@ -14,11 +13,9 @@ from jax import Array
 from jax.typing import ArrayLike
 
 from lieint_jax._checks import at_once, concrete, dtype_of, name_of, real_array, snake_case, step_size
-from lieint_jax._deprecated import warn_of_removal
 from lieint_jax._xla import compiled, differ, materialized_arrays, with_materialized_derivatives
 from lieint_jax.native import scan
 from lieint_jax.types._group import PhaseSpace, SpaceWithTangents
-from lieint_jax.types._pytree import with_fields
 from lieint_jax.types._state import State, StepInfo, all_finite
 from lieint_jax.types._system import System
 from lieint_jax.types.shapes import Flag, PhaseVector, PyTree, TangentVectors, Time
@@ -65,8 +62,9 @@ class Step:
 
     def __init_subclass__(cls, **options: object) -> None:
         super().__init_subclass__(**options)
-        for method in [name for name in _HOOKS if name in vars(cls)]:
-            _accept_override(cls, method)
+        for method, hook in _HOOKS.items():
+            if method in vars(cls):
+                raise TypeError(f"{cls.__name__} overrides {method}, which is final: define {hook} in its place")
 
     @property
     def name(self) -> str:
@@ -79,7 +77,7 @@ class Step:
         if differ((self, state, dt)):  # as a loop of one step, which JAX need not trace with the types of shards
             found = scan(lambda given, _: (given, self(*given)), (state, dt), length=1)[1]
             return jax.tree.map(lambda x: x[0], found)
-        end, info = Step.substep(self, state, dt)  # also where a class with a `__call__` of its own has another
+        end, info = self.substep(state, dt)
         return end, _finite_or_flagged(info, end)
 
     @final
@@ -147,8 +145,7 @@ class Step:
         step, state, dt, T = _in_one_type(self, state, dt, T)
         _check_time(step, state)
         end, info, LT = step.advance_tangents(state, dt, T)
-        own = type(step)
-        if own.advance_tangents is Step.advance_tangents and own.tangent is Step.tangent:
+        if type(step).advance_tangents is Step.advance_tangents:
             return end, info, LT  # the derivative of a call, which has done the rest
         end = _on_time(step, state, dt, end)
         q, p, LT = materialized_arrays((end.q, end.p, LT))  # XLA computes them once, not in each use
@@ -162,8 +159,7 @@ class Step:
     @property
     def prepares(self) -> bool:
         """Whether `prepare` computes anything; its result is valid for one step size."""
-        own = type(self)
-        return own.with_constants is not Step.with_constants or own.prepare is not Step.prepare
+        return type(self).with_constants is not Step.with_constants
 
     @property
     def deterministic(self) -> Step | None:
@@ -241,30 +237,6 @@ def _on_time(step: Step, state: State, dt: Array, end: State) -> State:
 def _finite_or_flagged(info: StepInfo, end: State) -> StepInfo:
     """The report of a step, `converged` only if the state after it is finite."""
     return info._replace(converged=info.converged & all_finite(end))
-
-
-def _accept_override(cls: type[Step], method: str) -> None:
-    """Let a subclass still override a final method of `Step`: that method, for its steps, calls what it wrote."""
-    hook, written = _HOOKS[method], vars(cls)[method]
-    warn_of_removal(
-        f"{cls.__name__} overrides {method}: rename it, and calls of super().{method}, to {hook}; the old name", 5
-    )
-
-    def override(final_method: Callable[..., Any]) -> Callable[..., Any]:
-        @functools.wraps(written)
-        def call(step: Step, state: State, dt: ArrayLike, *T: ArrayLike) -> Any:
-            if getattr(type(step), hook) is not getattr(cls, hook):  # a subclass of `cls` defines the hook
-                return final_method(step, state, dt, *T)
-            step, *arguments = _in_one_type(step, state, dt, *T)
-            # `step` itself goes to `written`, whose super() is to find the hook of a parent
-            hooked = with_fields(step, **{hook: partial(written, step)})
-            return final_method(hooked, *arguments)
-
-        return call
-
-    setattr(cls, method, override(vars(Step)[method]))
-    if method == "__call__":
-        cls.substep = override(Step.substep)  # pyright: ignore
 
 
 def _undefined_at(system: System, state: State) -> tuple[str, str]:

@@ -9,7 +9,6 @@ import jax
 import jax.numpy as jnp
 from jax import Array
 
-from lieint_jax._deprecated import renamed_attribute
 from lieint_jax.types._group import PhaseSpace
 from lieint_jax.types._state import State
 from lieint_jax.types._torque import Law
@@ -76,8 +75,6 @@ class System(abc.ABC):
     def laws(self) -> tuple[Law, ...]:
         """Its laws of torque, by default none."""
         return ()
-
-    carried = renamed_attribute("carried", "initial_extra")
 
 
 def time_derivative(system: System, state: State) -> State:

@@ -12,7 +12,6 @@ from jax import Array
 from jax.typing import ArrayLike
 
 from lieint_jax._checks import name_of, snake_case
-from lieint_jax._deprecated import old_calls
 from lieint_jax.types._pytree import callable_pytree, pytree, static
 from lieint_jax.types.shapes import PyTree
 
@@ -241,7 +240,6 @@ def as_law(law: Any, frame: str = "body") -> Law:
     return Function(callable_pytree(law), getattr(law, "frame", frame))
 
 
-@old_calls
 def instant(
     law: Law, t: Array, q: Array, Omega: Array, *, omega: Array, inner: PyTree, q_half: Any
 ) -> tuple[Array, PyTree]:

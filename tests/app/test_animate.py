@@ -30,7 +30,7 @@ def store(tmp_path_factory):
     """Two bodies over t = 4, a state saved at every other step."""
     path = tmp_path_factory.mktemp("runs") / "run.zarr"
     states = jax.jit(jax.vmap(lambda w: BODY.state(angular_velocity=w)))(np.array([[0.2, 0.0, 1.0], [0.3, -0.5, 0.8]]))
-    li.ensemble.run(STEP, states, DT, 80, save_every=2, store=path, progress=False)
+    li.run(STEP, states, DT, 80, save_every=2, store=path, progress=False)
     return path
 
 

@@ -13,8 +13,8 @@ from documents import blocks
 from stores import assert_same
 
 import lieint_jax as li
-from lieint_jax import ensemble
 from lieint_jax.app.command import cli, info, run
+from lieint_jax.runs import part_of_text
 
 PAGE = (Path(__file__).parents[2] / "docs/pages/howto/clusters.md").read_text(encoding="utf-8")
 
@@ -111,7 +111,7 @@ def test_the_commands_of_gnu_parallel_parse():
     assert values == [str(k) for k in range(8)]
     for k in values:
         parsed = cli._parser().parse_args([word.replace("{}", k) for word in options])
-        assert ensemble.part_of_text(parsed.part) == (int(k), 8)
+        assert part_of_text(parsed.part) == (int(k), 8)
 
 
 def test_the_command_of_kubernetes_parses():

@@ -12,6 +12,7 @@ import pytest
 import scenario_files
 import scenario_runs
 
+import lieint_jax as li
 from lieint_jax import _discover, measure, schemes, systems
 from lieint_jax.app import scenarios
 from lieint_jax.app.command import check_groups, cli
@@ -88,7 +89,6 @@ def test_measured_periods_of_symmetric_bodies_are_the_closed_form():
     """A symmetric top, long and flat, and turned axes: precession |π|/J₁, rotation in the body Ω₃(J₁−J₃)/J₁."""
     import jax.numpy as jnp
 
-    import lieint_jax as li
     from lieint_jax.groups import so3
 
     turn = so3.to_matrix(so3.exp(jnp.array([0.4, -0.2, 0.7])))

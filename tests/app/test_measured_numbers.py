@@ -100,7 +100,7 @@ def jvp_over_closed_form():
 def host_part():
     """Milliseconds of short calls of `li.run`: of free bodies, of satellites, and with `reduce`."""
     later = {x["call"]: 1e3 * x["second"] for x in result("compile")["others"]}
-    return [later["ensemble.run" + kind] for kind in ("", ", satellites on an orbit", ", the range of the energy")]
+    return [later["li.run" + kind] for kind in ("", ", satellites on an orbit", ", the range of the energy")]
 
 
 def quick_over_jit():

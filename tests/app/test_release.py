@@ -23,27 +23,16 @@ def test_the_conda_recipe_requires_what_the_package_requires():
     assert recipe == expected
 
 
-def test_the_version_is_the_same_everywhere():
-    """In the package, the citation and the recipe; the newest dated section of the changelog is the version's."""
+def test_the_citation_and_the_recipe_name_the_last_release():
+    """It has the newest dated section of the changelog; the package is of this version or, X.dev0, on the way to X."""
     citation = dict(line.split(": ", 1) for line in text("CITATION.cff").splitlines() if re.match(r"[a-z-]+: \S", line))
-    unreleased, (newest, date), *_ = re.findall(r"^## \[(.*?)\](?: - (\S+))?$", text("CHANGELOG.md"), re.M)
-    assert citation["version"] == newest == li.__version__
-    assert citation["date-released"] == date
-    assert unreleased == ("Unreleased", "")
-    assert f'version: "{li.__version__}"' in text("docs/conda/recipe.yaml")
-
-
-def test_the_changelog_lists_everything_deprecated():
-    """Everything that the package renames or still accepts; the removal is announced for a later version."""
-    section = "".join(re.findall(r"### Deprecated\n(.*?)(?=\n##)", text("CHANGELOG.md"), re.S))
-    removal = re.search(r"accepted from version ([\d.]+) on", text("lieint_jax/_deprecated.py")).group(1)
-    assert f"Version {removal} will not accept them" in section
-    sources = [path.read_text(encoding="utf-8") for path in (ROOT / "lieint_jax").rglob("*.py")]
-    warned = r'warn_of_removal\(f?"(?:\w+\.|\w+: )(\w+)'
-    for pattern in (r'renamed_attribute\("(\w+)"', r"@old_calls\ndef (\w+)", warned):
-        names = {name for source in sources for name in re.findall(pattern, source)}
-        assert names, pattern
-        assert not [name for name in names if f"{name}`" not in section and f"{name}(" not in section]
+    sections = re.findall(r"^## \[([\d.]+)\] - (\S+)$", text("CHANGELOG.md"), re.M)
+    coming = [version for version, date in sections if date == "unreleased"]
+    assert sections[: len(coming)] == [(version, "unreleased") for version in coming]
+    last, date = sections[len(coming)]
+    assert (citation["version"], citation["date-released"]) == (last, date)
+    assert f'version: "{last}"' in text("docs/conda/recipe.yaml")
+    assert [li.__version__] == ([f"{version}.dev0" for version in coming] or [last])
 
 
 def test_all_addresses_of_the_project_name_one_owner():

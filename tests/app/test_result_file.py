@@ -53,39 +53,6 @@ def test_a_tree_comes_back_as_it_was(tmp_path):
         result_file.save(path, TREE, {})
 
 
-def test_every_renamed_field_of_a_file_of_version_0_2_is_read(tmp_path):
-    """Every class with renamed fields, written under the names of version 0.2, comes back under those of today."""
-    for name, fields in result_file._RENAMED_FIELDS.items():
-        written = FORMER.get(name, name)
-        kind = result_file._find_class(f"lieint_jax.app.studies.{written}")
-        former = {new: old for old, new in fields.items()}
-        assert set(former) <= set(kind._fields), name
-        tree = {"type": f"lieint_jax.studies.{written}", "fields": {former.get(x, x): x for x in kind._fields}}
-        path = tmp_path / f"{name.partition(':')[2]}.npz"
-        np.savez(path, metadata=np.array(json.dumps({"study": "any", "tree": tree})))
-        assert result_file.load(path) == kind(*kind._fields)
-        path.unlink()
-    for name, now in MOVED.items():
-        assert result_file._find_class(f"lieint_jax.{name}").__name__ == now
-
-
-FORMER = {
-    "_combinations:DoublePeriods": "_period_search:TwoPeriods",
-    "_equal_light:LightChange": "_satellite_fit:Change",
-}
-MOVED = {
-    "app.studies._period_search:Peak": "Sine",
-    "studies.kappa:LearntKappas": "LearnedKappas",
-    "app.studies._minima:Minima": "Minima",
-    "app.studies._satellite_result:SatelliteFit": "SatelliteFit",
-    "app.studies._satellite_result:Ends": "Ends",
-    "app.studies._spin_fit:Estimate": "Estimate",
-    "studies._spin_fit:Coverage": "Coverage",
-    "app.studies._toutatis_result:Prediction": "Prediction",
-    "studies._toutatis_result:SpinFit": "SpinFit",
-}
-
-
 def test_only_named_tuples_of_this_package_are_made(tmp_path):
     for kind in ("os:system", "lieint_jax.types:Step", "lieint_jax.app.studies.gyro:nothing", "collections:Counter"):
         path = tmp_path / "tree.npz"

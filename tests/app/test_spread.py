@@ -13,7 +13,7 @@ import lieint_jax as li
 from lieint_jax import measure
 from lieint_jax.app import scenarios
 from lieint_jax.app.scenarios import _spread, water
-from lieint_jax.ensemble import archives
+from lieint_jax.runs import store as archives
 
 pytestmark = pytest.mark.long
 

@@ -12,7 +12,9 @@ from scipy.optimize import curve_fit, minimize
 
 import lieint_jax as li
 from lieint_jax.app.command import cli, result_file, study
-from lieint_jax.app.studies import gyro, inference, sensitivity
+from lieint_jax.app.studies import gyro, sensitivity
+from lieint_jax.app.studies.inference import draw, text
+from lieint_jax.fitting import inference
 
 
 def test_every_study_has_run_text_and_draw():
@@ -140,10 +142,10 @@ def test_a_problem_has_the_estimate_the_errors_and_the_forecast_of_scipy():
     c = found.coverage
     assert c.success.all()
     assert 0.6 < np.sqrt((c.pulls**2).mean()) < 1.4  # 40 pulls of two parameters
-    report = inference.text(found)
+    report = text(found)
     pull = (1.5 - e.values[2]) / np.hypot(e.sigmas[2], 0.1)
     assert f"{pull:+.1f} σ   a handbook" in report
-    assert len(inference.draw(found).axes) == 4
+    assert len(draw(found).axes) == 4
 
 
 @pytest.mark.long
@@ -165,7 +167,7 @@ def test_outliers_do_not_move_an_estimate_with_student_s_t():
     np.testing.assert_allclose(found.estimate.x, best.x[:2], rtol=1e-5)
     assert found.estimate.noise[0] == pytest.approx(np.exp(best.x[2]) * np.sqrt(40 / 38), rel=1e-4)
     assert (np.abs(found.estimate.x - [2.0, 0.7]) < 3 * found.estimate.sigmas[:2]).all()
-    assert "scales of Student's t" in inference.text(found)
+    assert "scales of Student's t" in text(found)
     assert found.coverage.pulls.shape == (20, 4)  # amplitude, rate, noise, half-life
 
 
@@ -175,8 +177,8 @@ def test_a_fit_without_success_has_a_report_and_no_errors_and_one_without_a_valu
     with pytest.warns(RuntimeWarning, match="the fit is no success"):
         found = inference.infer(decay(noise=0.005), quick=True, progress=False)
     assert found.coverage is None
-    assert "too small by a factor of" in " ".join(inference.text(found).split())
-    assert len(inference.draw(found).axes) == 3
+    assert "too small by a factor of" in " ".join(text(found).split())
+    assert len(draw(found).axes) == 3
     with pytest.raises(ValueError, match="no start of 'A decay' can be evaluated"):
         inference.infer(decay(errors=lambda p, data: data * jnp.nan), quick=True, progress=False)
 

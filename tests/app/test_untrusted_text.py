@@ -20,7 +20,7 @@ from internals import write_root
 import lieint_jax as li
 from lieint_jax.app import scenarios
 from lieint_jax.app.command import cli
-from lieint_jax.ensemble import archives
+from lieint_jax.runs import store as archives
 from lieint_jax.types import State, StepInfo, Trajectory
 
 BODY = li.systems.rigid_body([1.0, 2.0, 3.0])
@@ -149,7 +149,7 @@ def test_info_of_an_archive_prints_no_control_characters(capsys):
 def test_info_of_a_store_prints_no_control_characters(capsys):
     states = jax.vmap(lambda w: BODY.state(angular_velocity=w))(np.array([[0.2, 0.0, 1.0], [0.3, -0.5, 0.8]]))
     step = li.schemes.so3_midpoint(BODY)
-    li.ensemble.run(step, states, 0.05, 4, save_every=2, store="good.zarr", progress=False)
+    li.run(step, states, 0.05, 4, save_every=2, store="good.zarr", progress=False)
     text = texts(4, surrogates=True)
     top = ((), *((key,) for key in ("title", "scheme", "system", "time_unit", "reduce", "dt", "leaves")))
     of_run = (("run", key) for key in ("device", "versions", "engine", "compiler_options"))

@@ -404,7 +404,7 @@ def test_runs_of_new_functions_keep_few_of_them(monkeypatch, engine):
         if engine == "integrate":
             li.integrate(step, start, 0.1, 2)
         else:
-            li.ensemble.run(step, jax.tree.map(lambda x: x[None], start), 0.1, 2, progress=False)
+            li.run(step, jax.tree.map(lambda x: x[None], start), 0.1, 2, progress=False, save_every=None)
         if k in (17, 35):
             gc.collect()
             kept.append(sum(isinstance(x, jax.extend.core.JaxprEqn) for x in gc.get_objects()))

@@ -1,5 +1,6 @@
 """Files of results that are damaged or crafted: every command that reads them answers with one line and exit code 2."""
 
+import functools
 import io
 import itertools
 import json
@@ -7,6 +8,7 @@ import os
 import resource
 import shutil
 import struct
+import tempfile
 import zipfile
 from pathlib import Path
 
@@ -14,19 +16,29 @@ import jax
 import numpy as np
 import pytest
 from internals import write_root
+from scenario_files import book
 
 import lieint_jax as li
+from lieint_jax.app import scenarios
 from lieint_jax.app.command import cli
 from lieint_jax.runs import store
 
-DATA = Path(__file__).parents[1] / "data" / "toutatis-0.1.npz"
 BODY = li.systems.rigid_body([1.0, 2.0, 3.0])
 _MEMORY = 300e6  # bytes, the most that all the cases of a test may add: one that is believed asks for more
 
 
+@functools.cache
 def arrays():
-    with np.load(DATA) as file:
-        return dict(file)
+    """The arrays of an archive of two bodies with eleven entries."""
+    with tempfile.TemporaryDirectory() as folder:
+        file = Path(folder, "book.toml")
+        file.write_text(book(members="members = 2", steps="steps = 1600", save_every="save_every = 160"))
+        scenario = scenarios.load(str(file))
+        run = li.run(*scenario.build(), **scenario.clock(), save_every=scenario.save_every)
+        described = {"scenario": scenario.model_dump(), "lieint_jax": "0.5", "jax": "0.12"}
+        store.write_trajectory(Path(folder, "run.npz"), run.trajectory, described)
+        with np.load(Path(folder, "run.npz")) as found:
+            return dict(found)
 
 
 def packed(changed=(), method=zipfile.ZIP_STORED, name="{}.npy"):
@@ -180,7 +192,7 @@ def good(tmp_path_factory):
 
 def run_into(path, **options):
     states = jax.jit(jax.vmap(lambda w: BODY.state(angular_velocity=w)))(np.array([[0.2, 0.0, 1.0], [0.3, -0.5, 0.8]]))
-    li.ensemble.run(li.schemes.so3_midpoint(BODY), states, 0.05, 4, save_every=2, store=path, progress=False, **options)
+    li.run(li.schemes.so3_midpoint(BODY), states, 0.05, 4, save_every=2, store=path, progress=False, **options)
 
 
 def rooted(change):
@@ -233,12 +245,14 @@ def in_place_of(name, make):
 def stores(good):
     """Changes of a store, by what they do."""
     [constant] = json.loads((good / "zarr.json").read_text())["attributes"]["constants"]
-    required = ("progress", "run", "members", "num_steps", "save_every", "dt", "reduce", "scheme", "system")
+    required = ("progress", "run", "members", "num_steps", "save_every", "dt", "reduce", "scheme", "system", "format")
+    required += ("batch", "per", "leaves", "constants", "description", "time_unit", "num_entries", "digests")
+    required += ("member_chunk", "time_chunk")
     yield from ((f"without {key}", put(key, value=...)) for key in required)
     others = {"members": ["2", 0, -1, True, 3, 10**30], "progress": [[], {}, {"entries": 3}], "dt": ["fast", [], {}]}
     others |= {"save_every": [0, "2"], "run": [[], {}, 5], "leaves": [5, ["../q", "p"], [["q"]], ["q", "p", "x"]]}
     others |= {"constants": [["../../../etc"], ["/etc"], [".."], [5], "q", ["nothing"], {}], "reduce": [3, "energy"]}
-    others |= {"format": ["2", 99], "scheme": [5], "system": [None], "num_steps": ["many"], "num_entries": [-1, "3"]}
+    others |= {"format": ["2", 5, 99], "scheme": [5], "system": [None], "num_steps": ["many"], "num_entries": [-1, "3"]}
     for key, values in others.items():
         yield from ((f"{key} = {value!r}", put(key, value=value)) for value in values)
     for key, value in (("entries", 4), ("entries", "3"), ("entries", -3), ("complete", 1), ("commits", 0.5)):
@@ -249,8 +263,8 @@ def stores(good):
     for _ in range(200):
         nested = {"tuple": [nested]}
     systems = [nested, {}, [], 3, {"nonsense": 3}, {"name": "lieint_jax.systems"}, {"array": "q"}]
-    systems += [{"class": "lieint_jax.systems.rigid_body.RigidBody", "fields": x} for x in ({}, [], {"inertia": 3})]
-    systems += [{"class": "lieint_jax.systems.rigid_body.RigidBody"}, {"class": 3}, {"group": "SO(3)", "fields": {}}]
+    systems += [{"class": "lieint_jax.systems.RigidBody", "fields": x} for x in ({}, [], {"inertia": 3})]
+    systems += [{"class": "lieint_jax.systems.RigidBody"}, {"class": 3}, {"group": "SO(3)", "fields": {}}]
     yield from ((f"system {str(x)[:60]}", put("description", "system", value=x)) for x in systems)
     for name in ("q", "p", "time", "residual", "converged", constant):
         yield f"no array {name}", put("shown", name, value=...)
@@ -293,7 +307,7 @@ def test_altered_stores_are_refused_with_a_sentence(part, good, tmp_path, capsys
         for command in ("info", "plot", "animate") if k % 8 == 0 else ("info",):
             one_line(capsys, command, path)
         with pytest.raises((ValueError, OSError)):
-            li.ensemble.open(path)
+            li.open(path)
         if k % 8 == 1 and "system" not in what:  # which a run that resumes has of its own
             with pytest.raises((ValueError, OSError)):
                 run_into(path, resume=True)

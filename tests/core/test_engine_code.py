@@ -24,7 +24,7 @@ def test_free_bodies_are_those_of_the_package(call, scheme, J, dt):
     body = li.systems.rigid_body(J)
     state = body.state(Q, angular_velocity=[0.7, -1.1, 1.3])
     q, p, solved = getattr(engine_code, call)(J, state, dt, 50)
-    run = li.ensemble.run(getattr(li.schemes, scheme)(body), jax_batch(state), dt, 50, progress=False)
+    run = li.run(getattr(li.schemes, scheme)(body), jax_batch(state), dt, 50, progress=False, save_every=None)
     assert solved
     np.testing.assert_allclose(q, run.state.q[-1, 0], rtol=0, atol=2e-13)  # 6e-14, of the rod
     assert (p == np.asarray(state.p)).all()
@@ -47,7 +47,7 @@ def test_a_torqued_body_is_that_of_the_package():
     body = li.systems.torqued_body(J, law)
     state = body.state(Q, angular_velocity=[0.7, -1.1, 1.3], t=0.0, work=0.0)
     q, p, work, solved = engine_code.torqued(J, law, state, dt, 100)
-    run = li.ensemble.run(li.schemes.torqued_midpoint(body), jax_batch(state), dt, 100, progress=False)
+    run = li.run(li.schemes.torqued_midpoint(body), jax_batch(state), dt, 100, progress=False, save_every=None)
     assert solved
     np.testing.assert_allclose(q, run.state.q[-1, 0], rtol=0, atol=1e-14)  # 1e-15: drag forgets
     np.testing.assert_allclose(p, run.state.p[-1, 0], rtol=0, atol=1e-14)

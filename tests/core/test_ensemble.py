@@ -7,7 +7,7 @@ import pytest
 from free_bodies import rows
 
 import lieint_jax as li
-from lieint_jax import State, ensemble
+from lieint_jax import State
 from lieint_jax.app.command import files
 from lieint_jax.runs import store as archives
 
@@ -30,7 +30,7 @@ alone = jax.jit(li.integrate, static_argnames=("num_steps", "save_every"))
 
 def test_the_batch_is_the_bodies_one_by_one():
     batch = states(5)
-    run = ensemble.run(STEP, batch, 0.1, 60, save_every=20, progress=False)
+    run = li.run(STEP, batch, 0.1, 60, save_every=20, progress=False)
     assert run.state.q.shape == (4, 5, 4)
     np.testing.assert_allclose(run.t, [0, 2, 4, 6], rtol=1e-15)
     assert run.info.converged.all()
@@ -45,7 +45,7 @@ def test_an_ensemble_may_save_the_last_state_only_and_give_each_member_an_inerti
     batch = states(4)
     J = np.array([[1.0, 2, 3], [1, 1, 2], [2, 2, 2], [1, 1.5, 2]])
     steps = jax.jit(jax.vmap(lambda J: li.schemes.so3_midpoint(li.systems.rigid_body(J))))(J)
-    run = ensemble.run(steps, batch, 0.1, 150, step_axis=0, progress=False)
+    run = li.run(steps, batch, 0.1, 150, own_step=True, progress=False, save_every=None)
     assert run.state.q.shape == (2, 4, 4)
     member = State(np.asarray(batch.q)[1], np.asarray(batch.p)[1])
     one = alone(li.schemes.so3_midpoint(li.systems.rigid_body(J[1])), member, 0.1, 150, save_every=150)
@@ -60,7 +60,7 @@ def test_the_first_failure_of_each_member_is_found():
     slow = 0.1 * jnp.asarray(np.random.default_rng(1).normal(size=(70, 3)))
     batch = jax.vmap(lambda w: top.state(angular_velocity=w))(slow)
     with pytest.warns(RuntimeWarning, match="did not converge at every step"):
-        run = ensemble.run(step, batch, dt, 40, save_every=4, reduce="energy", progress=False)
+        run = li.run(step, batch, dt, 40, save_every=4, reduce="energy", progress=False).summary
     each = jax.vmap(lambda z: li.integrate(step, z, dt, 40, save_every=1).info.converged)(batch)[:, 1:]
     first = np.where(np.all(each, axis=1), -1, np.argmin(each, axis=1))
     assert len(set(first.tolist())) > 2
@@ -70,10 +70,10 @@ def test_the_first_failure_of_each_member_is_found():
 
 
 def test_the_progress_bar_goes_to_a_terminal_and_nowhere_else(capfd, monkeypatch):
-    ensemble.run(STEP, states(2), 0.1, 200)
+    li.run(STEP, states(2), 0.1, 200, save_every=None)
     assert capfd.readouterr() == ("", "")
     monkeypatch.setattr("sys.stderr.isatty", lambda: True, raising=False)
-    ensemble.run(STEP, states(2), 0.1, 200)
+    li.run(STEP, states(2), 0.1, 200, save_every=None)
     out, err = capfd.readouterr()
     assert out == ""
     assert "step" in err
@@ -104,7 +104,7 @@ def test_a_notebook_shows_a_bar_below_the_cell_of_a_run_that_takes_long():
 
 
 def test_a_result_file_reads_back_and_is_not_overwritten(tmp_path):
-    run = ensemble.run(STEP, states(3), 0.1, 20, save_every=10, progress=False)
+    run = li.run(STEP, states(3), 0.1, 20, save_every=10, progress=False).trajectory
     path = files.check_writable(tmp_path / "run.npz")
     archives.write_trajectory(path, run, {"seed": 4})
     again, metadata = archives.load_results(path)

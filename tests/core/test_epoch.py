@@ -41,7 +41,7 @@ def test_an_epoch_goes_wherever_the_run_goes_and_changes_no_number(tmp_path):
 
 
 def test_a_saved_run_has_the_unit_of_time_of_its_store(tmp_path):
-    options = li.ensemble.StoreOptions(tmp_path / "a.zarr", time_unit="d")
+    options = li.StoreOptions(tmp_path / "a.zarr", time_unit="d")
     saved = li.run(STEP, ONE, 0.5, 6, epoch=START, **QUIET).save(options)
     assert saved.facts.time_unit == li.open(options.path).facts.time_unit == "d"
 
@@ -91,7 +91,7 @@ def test_xarray_and_pandas_have_the_dates():
 @pytest.mark.long
 def test_a_store_in_hours_has_dates_in_hours(tmp_path):
     for unit in ("h", "fortnight"):
-        store = li.ensemble.StoreOptions(tmp_path / f"{unit}.zarr", {}, unit)
+        store = li.StoreOptions(tmp_path / f"{unit}.zarr", {}, unit)
         li.run(STEP, ONE, 0.5, 4, epoch="2026-03-01", store=store, **QUIET)
     last = li.open(tmp_path / "h.zarr").to_xarray().date[-1]
     assert last == np.datetime64("2026-03-01T02:00")

@@ -19,7 +19,8 @@ from lieint_jax.app import scenarios
 from lieint_jax.app.command import cli, files
 from lieint_jax.app.command import info as info_command
 from lieint_jax.app.command import run as run_command
-from lieint_jax.ensemble import archives, processes
+from lieint_jax.runs import processes
+from lieint_jax.runs import store as archives
 from lieint_jax.runs._job import devices as _devices
 from lieint_jax.runs.store import _identity
 from lieint_jax.types import State, StepInfo, Trajectory
@@ -56,7 +57,15 @@ SENTENCES = [
     ),
     (lambda: scenarios.load("toutatis", save_every=320), r"observation\.t = 23.* must be a multiple of dt·save_every"),
     (lambda: archives.load_store(Path("group.zarr")), "a Zarr group, but was not written by lieint"),
-    (lambda: archives.load_store(Path("newer.zarr")), "has format 99; .*use a newer one"),
+    (
+        lambda: archives.load_store(Path("newer.zarr")),
+        "format 99, that of a newer lieint_jax; this one reads format 7",
+    ),
+    (
+        lambda: archives.load_store(Path("older.zarr")),
+        "format 6, that of an older lieint_jax; this one reads format 7",
+    ),
+    (lambda: archives.load_store(Path("oldest.zarr")), "has format 1, that of an older lieint_jax"),
     (lambda: archives.load_store(Path("damaged.zarr")), "is damaged: its checksum is wrong"),
     (lambda: info_command.plot(Path("bare.npz")), "holds neither a scenario nor the parameters of its system"),
     (lambda: info_command.plot(Path("start.npz")), "holds the initial states only"),
@@ -70,7 +79,9 @@ def unusable(tmp_path, monkeypatch):
     attributes = {
         "group": {},
         "newer": {"progress": 1, "format": 99},
-        "damaged": {"progress": 1, "format": 3, "checksum": "0"},
+        "older": {"progress": 1, "format": 5},
+        "oldest": {"progress": 1},
+        "damaged": {"progress": 1, "format": 7, "checksum": "0"},
     }
     for name, found in attributes.items():
         Path(f"{name}.zarr").mkdir()
@@ -96,20 +107,26 @@ SIZES = [
         "would hold 157 GB in memory, 2 times .*give a larger save_every, or",
     ),
     (
-        lambda: li.ensemble.run(STEP, ONE_MEMBER, 0.1, 2**31, save_every=1),
+        lambda: li.run(STEP, ONE_MEMBER, 0.1, 2**31, save_every=1),
         r"would hold 174 GB in memory: 2147483649 entries of 81 bytes, .*has 1 GB; use a larger save_every or store=",
     ),
     (
-        lambda: li.ensemble.run(STEP, ONE_MEMBER, 0.1, 2**31, save_every=1, reduce="energy"),
+        lambda: li.run(STEP, ONE_MEMBER, 0.1, 2**31, save_every=1, reduce="energy"),
         "would hold 120 GB .*save_every$",
     ),
     (
-        lambda: li.ensemble.run(STEP, ONE_MEMBER, 0.1, 2**31, save_every=1, store="x.zarr"),
+        lambda: li.run(STEP, ONE_MEMBER, 0.1, 2**31, save_every=1, store="x.zarr"),
         "would hold 34.4 GB .*save_every$",
     ),
     (lambda: li.integrate(STEP, STATE, 0.1, 2**63), "num_steps must be at most 9007199254740992, got 9.22337e"),
-    (lambda: li.ensemble.run(STEP, ONE_MEMBER, 0.1, 10**30), "num_steps must be at most 9007199254740992, got 1e"),
-    (lambda: li.ensemble.run(STEP, ONE_MEMBER, 0.1, 1e30), "num_steps must be an integer ≥ 0, got 1e"),
+    (
+        lambda: li.run(STEP, ONE_MEMBER, 0.1, 10**30, save_every=None),
+        "num_steps must be at most 9007199254740992, got 1e",
+    ),
+    (
+        lambda: li.run(STEP, ONE_MEMBER, 0.1, 1e30, save_every=None),
+        "num_steps must be an integer ≥ 0, got 1e",
+    ),
     (
         lambda: run_command.run("toutatis", Path("x.npz"), 10**9),
         "would hold 65.2 TB in memory: .*; give fewer members, a larg",
@@ -171,7 +188,7 @@ def test_an_interrupted_run_in_memory_suggests_a_store(monkeypatch):
     internals.interrupt_after_the_first_call(monkeypatch)
     states = jax.tree.map(lambda x: x[None], STATE)
     with pytest.raises(KeyboardInterrupt, match="stopped after 6 of 6 steps; a run with a store can be resumed"):
-        li.ensemble.run(li.schemes.so3_midpoint(BODY), states, 0.1, 6, progress=False)
+        li.run(li.schemes.so3_midpoint(BODY), states, 0.1, 6, progress=False, save_every=None)
 
 
 def test_the_command_line_ends_quietly(monkeypatch, capsys):
@@ -275,7 +292,7 @@ def test_a_step_that_no_smaller_dt_helps_names_the_function_and_the_cure(law, Om
     body = li.systems.torqued_body([1.0, 2.0, 3.0], li.torques.viscous(0.1) + law)
     state = body.state(angular_velocity=Omega)
     step = li.schemes.torqued_midpoint(body)
-    for run in (li.integrate, li.ensemble.run):
+    for run in (li.integrate, li.run):
         states = state if run is li.integrate else jax.tree.map(lambda x: jnp.stack([x, x]), state)
         with pytest.raises(ValueError, match=message) as failed:
             run(step, states, 0.1, 2)

@@ -85,25 +85,25 @@ TRANSFORMATIONS = {
 
 
 ENSEMBLES = {
-    "states": lambda x: li.ensemble.run(STEP, STATES._replace(p=x * STATES.p), 0.1, 1),
-    "step": lambda x: li.ensemble.run(schemes.so3_explicit(systems.RigidBody(x * THREE)), STATES, 0.1, 1),
-    "dt": lambda x: li.ensemble.run(STEP, STATES, 0.1 * x, 1),
-    "times": lambda x: li.ensemble.run(STEP, STATES, times=x * PAIR),
-    "function": lambda x: li.ensemble.run(STEP, lambda m: STATES._replace(p=x * STATES.p), 0.1, 1, members=2),
+    "states": lambda x: li.run(STEP, STATES._replace(p=x * STATES.p), 0.1, 1, save_every=None),
+    "step": lambda x: li.run(schemes.so3_explicit(systems.RigidBody(x * THREE)), STATES, 0.1, 1, save_every=None),
+    "dt": lambda x: li.run(STEP, STATES, 0.1 * x, 1, save_every=None),
+    "times": lambda x: li.run(STEP, STATES, times=x * PAIR, save_every=None),
+    "function": lambda x: li.run(STEP, lambda m: STATES._replace(p=x * STATES.p), 0.1, 1, members=2, save_every=None),
 }
 
 
 @pytest.mark.parametrize("ensemble", ENSEMBLES.values(), ids=ENSEMBLES)
 @pytest.mark.parametrize("transformation", TRANSFORMATIONS.values(), ids=TRANSFORMATIONS)
 def test_an_ensemble_inside_a_transformation_is_refused_by_a_sentence(transformation, ensemble):
-    with pytest.raises(TypeError, match=r"^ensemble\.run computes with numbers, outside of .* use li\.integrate"):
+    with pytest.raises(TypeError, match=r"^li\.run computes with numbers, outside of .* use li\.integrate"):
         transformation(lambda x: ensemble(x).state.p.sum())
 
 
 @pytest.mark.long
 def test_an_ensemble_of_numbers_runs_inside_a_derivative_and_not_inside_jit():
     """Numbers are computed at once there; in jit everything is traced."""
-    slope = jax.grad(lambda x: x * li.ensemble.run(STEP, STATES, 0.1, 1).t[-1])(1.0)
+    slope = jax.grad(lambda x: x * li.run(STEP, STATES, 0.1, 1, save_every=None).t[-1])(1.0)
     assert slope == pytest.approx(0.1, rel=1e-15, abs=0)
     with pytest.raises(TypeError, match=r"use li\.integrate"):
-        jax.jit(lambda: li.ensemble.run(STEP, STATES, 0.1, 1).t)()
+        jax.jit(lambda: li.run(STEP, STATES, 0.1, 1, save_every=None).t)()

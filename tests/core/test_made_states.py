@@ -13,7 +13,6 @@ from scipy.special import erfinv
 from stores import assert_same
 
 import lieint_jax as li
-from lieint_jax import ensemble
 from lieint_jax._numerics import random_bits
 from lieint_jax.app import scenarios
 from lieint_jax.app.command import cli
@@ -35,7 +34,7 @@ def states_of(numbers, scale=1.0):
 
 def run(states=states_of, store=None, part=None, **options):
     options = dict(dt=0.1, num_steps=60, save_every=5, progress=False, members=MEMBERS) | options
-    return ensemble.run(STEP, states, store=store, part=part, **options)
+    return li.run(STEP, states, store=store, part=part, **options)
 
 
 @pytest.fixture(autouse=True)
@@ -65,7 +64,7 @@ def test_a_part_makes_its_own_members_only_and_all_parts_are_one_run(tmp_path, r
         assert_same(run(noted, None, (k, 4), reduce=reduce), run(store=store, part=(k, 4), reduce=reduce))
         blocks = {0, *range(own.start // 8, (own.stop - 1) // 8 + 1)}  # the first describes the run
         assert asked == [list(range(8 * b, min(8 * b + 8, MEMBERS))) for b in sorted(blocks)]
-    assert_same(ensemble.open(store)[0], whole)
+    assert_same(li.open(store), whole)
 
 
 @pytest.mark.long
@@ -79,14 +78,14 @@ def test_members_of_one_part_that_start_together_do_not_share_a_time(tmp_path):
     np.testing.assert_array_equal(whole.state.t[0], np.arange(MEMBERS) // 11)
     for k in range(4):
         run(late, tmp_path / "late.zarr", (k, 4))
-    assert_same(ensemble.open(tmp_path / "late.zarr")[0], whole)
+    assert_same(li.open(tmp_path / "late.zarr"), whole)
 
     def together(numbers):
         return states_of(numbers)._replace(t=np.float64(3.0))
 
     for k in range(2):
         run(together, tmp_path / "together.zarr", (k, 2))
-    found = ensemble.open(tmp_path / "together.zarr")[0]
+    found = li.open(tmp_path / "together.zarr")
     assert_same(found, run(together))
     assert found.t[0] == 3.0
 
@@ -95,10 +94,10 @@ def test_members_of_one_part_that_start_together_do_not_share_a_time(tmp_path):
 def test_each_member_may_have_a_system_of_its_own(tmp_path):
     J = np.linspace(1.0, 1.5, MEMBERS)[:, None] * [1.0, 2.0, 2.5]
     steps = jax.vmap(lambda J: li.schemes.so3_midpoint(li.systems.rigid_body(J)))(J)
-    options = dict(dt=0.1, num_steps=20, save_every=5, progress=False, step_axis=0, members=MEMBERS)
+    options = dict(dt=0.1, num_steps=20, save_every=5, progress=False, own_step=True, members=MEMBERS)
     for k in range(3):
-        ensemble.run(steps, states_of, store=tmp_path / "run.zarr", part=(k, 3), **options)
-    assert_same(ensemble.open(tmp_path / "run.zarr")[0], ensemble.run(steps, states_of, **options))
+        li.run(steps, states_of, store=tmp_path / "run.zarr", part=(k, 3), **options)
+    assert_same(li.open(tmp_path / "run.zarr"), li.run(steps, states_of, **options))
 
 
 def of_numpy(scale, last=0.0):
@@ -124,7 +123,7 @@ def test_a_part_with_another_function_of_states_is_refused(tmp_path, one, others
         with pytest.raises(ValueError, match=r"holds another run.*the states that the function makes differ"):
             run(states, store, (1, 2), members=members)
     run(one, store, (1, 2))
-    assert_same(ensemble.open(store)[0], run(one))
+    assert_same(li.open(store), run(one))
 
 
 def test_equations_of_states_are_those_of_extra_values_of_these_names(tmp_path):
@@ -227,7 +226,7 @@ def test_the_command_line_makes_the_states_of_a_part_only(tmp_path, monkeypatch,
         assert cli.main(["run", "book.toml", "--out", "parts.zarr", "--part", f"{k}/2"]) == 0, capsys.readouterr().err
         made = {int(numbers[0]) for numbers in asked if numbers is not None}  # the first block, the part's own
         assert made == ({0, 8, 16} if k == 0 else {0, 16, 24, 32})
-    assert_same(ensemble.open("parts.zarr")[0], ensemble.open("whole.zarr")[0])
+    assert_same(li.open("parts.zarr"), li.open("whole.zarr"))
 
 
 @pytest.mark.long
@@ -255,9 +254,9 @@ def test_a_store_needs_the_memory_of_two_buffers_of_rows(tmp_path, monkeypatch):
     finally:
         tracemalloc.stop()
     assert peak < 3.0 * buffer  # observed: 2.3 to 2.6; 4.8 when all rows were joined at once
-    given = ensemble.peak_memory(states, 192, store=tmp_path / "run.zarr")
-    assert given == ensemble.peak_memory(
+    given = li.peak_memory(states, 192, store=tmp_path / "run.zarr")
+    assert given == li.peak_memory(
         lambda n: jax.tree.map(lambda x: x[n], states), 192, store=tmp_path / "run.zarr", members=members
     )
-    part = ensemble.peak_memory(states, 192, store=tmp_path / "run.zarr", part=(0, 10))
+    part = li.peak_memory(states, 192, store=tmp_path / "run.zarr", part=(0, 10))
     assert part < given

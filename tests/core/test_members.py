@@ -114,16 +114,16 @@ def test_the_run_of_one_body_with_the_systems_of_all_is_refused():
 
 @pytest.mark.quick
 @pytest.mark.parametrize("members", [3, 5])
-def test_steps_with_a_member_axis_need_step_axis_0(members):
+def test_steps_with_a_member_axis_need_own_step(members):
     bodies, run, *_ = batch(members)
     states = jax.tree.map(lambda x: x[0], run.state)
     steps = jax.vmap(li.schemes.so3_explicit)(bodies)
-    with pytest.raises(ValueError, match=r"step_axis=0"):
-        li.ensemble.run(steps, states, 0.1, 2, progress=False)
+    with pytest.raises(ValueError, match=r"own_step=True"):
+        li.run(steps, states, 0.1, 2, progress=False, save_every=None)
     step = li.schemes.so3_explicit(li.systems.rigid_body([1.0, 2.0, 2.5]))
     if members != 3:
-        with pytest.raises(ValueError, match=r"step_axis=0 needs a system for each member.*step_axis=None"):
-            li.ensemble.run(step, states, 0.1, 2, step_axis=0, progress=False)
+        with pytest.raises(ValueError, match=rf"a step for each of {members} members"):
+            li.run(step, states, 0.1, 2, own_step=True, progress=False, save_every=None)
 
 
 def test_a_vmapped_integrate_has_its_axes_the_other_way_round():
@@ -144,7 +144,7 @@ def test_what_the_message_about_vmap_advises_works():
     step = li.schemes.so3_explicit(body)
     run = jax.vmap(lambda z: li.integrate(step, z, 0.1, 4), out_axes=Trajectory(None, 1, 1))(states)  # pyright: ignore
     assert dict(run.to_xarray(body).sizes)["member"] == 5
-    again = li.ensemble.run(step, states, 0.1, 4, save_every=1, progress=False)
+    again = li.run(step, states, 0.1, 4, save_every=1, progress=False)
     np.testing.assert_allclose(run.state.q, again.state.q, rtol=0, atol=1e-15)
 
 
@@ -174,5 +174,5 @@ def test_clusters_with_one_system_per_member():
         run = Trajectory(np.zeros(1), jax.tree.map(lambda z: z[None], states), StepInfo(*np.zeros((2, 1, members))))
         wanted = jax.vmap(lambda s, z: s.energy(z))(systems, states)
         np.testing.assert_allclose(run.to_xarray(systems).energy[0], wanted, rtol=1e-14)
-        with pytest.raises(ValueError, match="step_axis=0"):
-            li.ensemble.run(jax.vmap(li.schemes.splitting)(systems), states, 0.1, 1, progress=False)
+        with pytest.raises(ValueError, match="own_step=True"):
+            li.run(jax.vmap(li.schemes.splitting)(systems), states, 0.1, 1, progress=False, save_every=None)

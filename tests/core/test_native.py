@@ -18,7 +18,8 @@ pytest.importorskip("llvmlite")
 from kernels import Kernel, MachineFunction
 from native_members import MEMBERS, bits, by_jax, check_against_jax, compiled, stacking
 
-from lieint_jax import ensemble, schemes, systems
+import lieint_jax as li
+from lieint_jax import schemes, systems
 from lieint_jax.native import _machine, _pieces
 from lieint_jax.native._primitives.abstract_walk import UnsupportedError
 from lieint_jax.native._primitives.control_flow import CONTROL_FLOW
@@ -485,7 +486,7 @@ def test_any_failure_of_an_engine_means_xla_and_is_logged_once(monkeypatch, capl
     expected = jax.jit(jax.vmap(lambda z: step(z, 0.1)[0]))(states)
     with monkeypatch.context() as patch:
         patch.setitem(place, name, fail) if isinstance(place, dict) else patch.setattr(place, name, fail)
-        runs = [ensemble.run(step, states, 0.1, n, progress=False) for n in (1, 2)]
+        runs = [li.run(step, states, 0.1, n, progress=False, save_every=None).trajectory for n in (1, 2)]
     assert runs[0].info.converged.all()
     np.testing.assert_allclose(runs[0].state.p[-1], expected.p, rtol=1e-14)
     [message] = [record.getMessage() for record in caplog.records if record.name.startswith("lieint_jax")]
@@ -508,7 +509,7 @@ def test_machine_code_that_differs_from_xla_is_refused(monkeypatch, caplog, redu
     quantity = (lambda step, state: jnp.cos(state.p[0])) if reduce else None
     with monkeypatch.context() as patch:
         patch.setitem(ELEMENTWISE, "cos", lambda walk, x, dtype: walk.number("mul", x[0], x[0]))
-        runs = [ensemble.run(step, states, 0.1, n, reduce=quantity, progress=False) for n in (1, 2)]
+        runs = [li.run(step, states, 0.1, n, reduce=quantity, progress=False, save_every=None).summary for n in (1, 2)]
     [message] = [record.getMessage() for record in caplog.records if record.name.startswith("lieint_jax")]
     assert message.startswith(f"XLA runs {step.name}, which is slower than machine code: in machine code a first step")
     expected = jax.jit(jax.vmap(lambda z: step(z, 0.1)[0]))(states)

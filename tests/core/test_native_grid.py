@@ -4,12 +4,12 @@ import jax
 import numpy as np
 import pytest
 
+import lieint_jax as li
+
 pytest.importorskip("llvmlite")
 
 import grid
 from native_members import MEMBERS, bits, compiled
-
-from lieint_jax import ensemble
 
 pytestmark = pytest.mark.long
 
@@ -76,7 +76,7 @@ def test_an_ensemble_that_shares_its_time_steps_as_by_jax(step, state, dt):
     expected, by_jax = states, jax.jit(jax.vmap(stepped, (0, None, None)))
     for _ in range(count):
         expected, _ = by_jax(expected, step, np.asarray(dt))
-    run = ensemble.run(step, states, float(dt), count, progress=False)
+    run = li.run(step, states, float(dt), count, progress=False, save_every=None)
     for wanted, x in zip(jax.tree.leaves(expected), jax.tree.leaves(run.state), strict=True):
         wanted = np.asarray(wanted)
         np.testing.assert_allclose(x[-1], wanted, rtol=0, atol=1e-12 * max(1, np.abs(wanted).max(initial=0)))
@@ -89,5 +89,5 @@ def test_no_machine_code_is_refused_for_its_rounding(step, state, dt, caplog):
     states = members(state)
     # of energies so close that `log_hamiltonian` with the energy of one of them accepts all
     states = states._replace(p=np.linspace(0.95, 1.05, MEMBERS).reshape(-1, *[1] * np.ndim(state.p)) * state.p)
-    ensemble.run(step, states, dt, 1, progress=False)
+    li.run(step, states, dt, 1, progress=False, save_every=None)
     assert not [record for record in caplog.records if "differs" in record.getMessage()]

@@ -18,7 +18,8 @@ from native_members import stacking
 from small_steps import Oscillators
 
 import lieint_jax as li
-from lieint_jax import ensemble, native
+from lieint_jax import native
+from lieint_jax.runs import compiler_options
 from lieint_jax.types import Step, StepInfo, pytree
 
 pytestmark = pytest.mark.long
@@ -215,7 +216,7 @@ RUNS = {
             0.05,
             21,
         ),
-        {"save_every": 7, "step_axis": 0},
+        {"save_every": 7, "own_step": True},
     ),
     "an inner loop that members leave at different times": lambda: (
         (li.schemes.exact(BODY), states_of(BODY), 0.05, 10),
@@ -250,7 +251,7 @@ class Leaps(Step):
 
 @pytest.mark.parametrize(
     "options",
-    [{}, {"step_axis": 0}, {"save_at": np.array([0.1, 0.52, 0.71, 2.4])}],
+    [{}, {"own_step": True}, {"save_at": np.array([0.1, 0.52, 0.71, 2.4])}],
     ids=["rows", "a step each", "outputs"],
 )
 def test_rows_failures_and_shorter_steps_are_those_of_the_other_engines(monkeypatch, options):
@@ -259,7 +260,7 @@ def test_rows_failures_and_shorter_steps_are_those_of_the_other_engines(monkeypa
     speed = np.linspace(0.1, 0.9, members)[:, None, None] * np.eye(3)[[1, 0, 2]]
     states = li.State(jnp.tile(jnp.eye(3), (members, 1, 1)), jnp.asarray(speed))
     step = Leaps(Oscillators(stiffness))
-    if "step_axis" in options:
+    if "own_step" in options:
         step = Leaps(Oscillators(jnp.linspace(1.0, 1.5, members)))
     rows = options if "save_at" in options else options | {"num_steps": 33, "save_every": 11}
     reduce = {} if "save_at" in options else {"reduce": "energy"}
@@ -278,7 +279,7 @@ def test_a_gpu_runs_kernels_of_short_steps_and_xla_others(monkeypatch):
     jobs = []
     by_engine(monkeypatch, "xla", jobs)
     states = li.State(jnp.tile(jnp.eye(3), (2, 1, 1)), jnp.zeros((2, 3, 3)))
-    ensemble.run(Leaps(Oscillators(jnp.asarray(1.3))), states, 0.05, 4, progress=False)
+    li.run(Leaps(Oscillators(jnp.asarray(1.3))), states, 0.05, 4, progress=False, save_every=None)
     [job] = jobs
     assert engine_on("gpu", job) == "kernel"
     assert engine_on("cpu", job) == "native"
@@ -292,8 +293,8 @@ def test_a_gpu_runs_kernels_of_short_steps_and_xla_others(monkeypatch):
     "options", [{}, {"xla_gpu_enable_command_buffer": "FUSION,WHILE,CONDITIONAL,CUSTOM_CALL"}], ids=["cpu", "gpu"]
 )
 def test_xla_knows_the_options_of_the_loops(options):
-    options = options or ensemble.compiler_options("cpu")
-    assert options in (ensemble.compiler_options("cpu"), ensemble.compiler_options("gpu"))
+    options = options or compiler_options("cpu")
+    assert options in (compiler_options("cpu"), compiler_options("gpu"))
     assert jax.jit(lambda x: x + 1).lower(1.0).compile(compiler_options=options)(1.0) == 2.0
     with pytest.raises(jax.errors.JaxRuntimeError):
         jax.jit(lambda x: x + 1).lower(1.0).compile(compiler_options={"xla_gpu_enable_command_buffers": "WHILE"})
@@ -318,8 +319,8 @@ for options in {}, {"reduce": "energy"}, {"store": True}, {"times": np.linspace(
                 internals.spread_over_devices(patch)
             more = {"store": f"{folder}/run.zarr"} if "store" in options else options
             more = more if "times" in options else {"dt": 0.1, "num_steps": 20} | more
-            run = li.ensemble.run(step, states, save_every=5, progress=False, **more)
-            runs.append(jax.tree.map(lambda x: np.asarray(x[:]), run))
+            run = li.run(step, states, save_every=5, progress=False, **more)
+            runs.append(jax.tree.map(lambda x: np.asarray(x[:]), (run.trajectory, run.summary)))
     for other in runs[1:]:
         for x, y in zip(jax.tree.leaves(runs[0]), jax.tree.leaves(other), strict=True):
             np.testing.assert_allclose(y, x, rtol=0, atol=4e-15)

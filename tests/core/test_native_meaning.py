@@ -138,7 +138,7 @@ DRAWS = {
 
 def assert_members_run_as_one(step, state):
     one = li.integrate(step, state, 0.1, 5)
-    run = li.ensemble.run(step, jax.tree.map(lambda x: np.asarray(x)[None], state), 0.1, 5, progress=False)
+    run = li.run(step, jax.tree.map(lambda x: np.asarray(x)[None], state), 0.1, 5, progress=False, save_every=None)
     np.testing.assert_allclose(run.state.p[-1, 0], one.state.p[-1], rtol=1e-13)
 
 

@@ -33,7 +33,7 @@ def last(J, rate):
 rates = np.array([[0.2, 0.3, 1.0], [0.1, 0.2, 0.3], [1.0, 1.0, 2.0]])
 with warnings.catch_warnings(record=True) as drawn:
     warnings.simplefilter("always")
-    slopes = np.asarray(li.ensemble.over_members(jax.grad(last), (None, 0))(np.asarray(body.inertia), rates))
+    slopes = np.asarray(li.over_members(jax.grad(last), (None, 0))(np.asarray(body.inertia), rates))
 
 x = jnp.linspace(0, 3, 300)
 
@@ -85,13 +85,13 @@ def test_over_members_is_vmap():
         return jax.grad(lambda k: jnp.sum(a * jnp.exp(-k * jnp.arange(5.0))))(k)
 
     k = jnp.linspace(0.1, 1, 5)
-    many = li.ensemble.over_members(slope, (0, None))
+    many = li.over_members(slope, (0, None))
     np.testing.assert_allclose(many(k, 2.0), jax.vmap(slope, (0, None))(k, 2.0), rtol=1e-15)
     again = jax.jit(jax.grad(lambda k: many(k, 2.0).sum()))(k)
     np.testing.assert_allclose(again, jax.vmap(lambda k: jax.grad(slope)(k, 2.0))(k), rtol=1e-13)
     with pytest.raises(ValueError, match="the same number of members"):
-        li.ensemble.over_members(slope)(k, jnp.ones(4))
+        li.over_members(slope)(k, jnp.ones(4))
     with pytest.raises(ValueError, match="in_axes"):
-        li.ensemble.over_members(slope, (None, None))(k, 2.0)
+        li.over_members(slope, (None, None))(k, 2.0)
     with pytest.raises(ValueError, match="one axis"):
-        li.ensemble.over_members(slope, mesh=Mesh(np.array(jax.devices()), ("x",)))
+        li.over_members(slope, mesh=Mesh(np.array(jax.devices()), ("x",)))

@@ -29,9 +29,8 @@ import scenario_files
 from stores import Crash, assert_same
 
 import lieint_jax as li
-from lieint_jax import ensemble
 from lieint_jax.app.command import cli, info
-from lieint_jax.ensemble import archives
+from lieint_jax.runs import store as archives
 from lieint_jax.runs._job import dyadic_sum as _dyadic_sum
 from lieint_jax.runs._storage import bucket as _bucket
 from lieint_jax.runs._storage import disk as _disk
@@ -52,7 +51,7 @@ PLACES = ["disk", pytest.param("bucket", marks=needs_obstore)]
 
 def run(store=None, part=None, step=STEP, states=STATES, **options):
     options = dict(dt=0.1, num_steps=60, save_every=5, progress=False) | options
-    return ensemble.run(step, states, store=store, part=part, **options)
+    return li.run(step, states, store=store, part=part, **options)
 
 
 @pytest.fixture(params=PLACES)
@@ -65,7 +64,7 @@ def opened(store):
     """The run in a store, and the warning that it is incomplete."""
     with warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always")
-        found, _ = ensemble.open(store)
+        found = li.open(store)
     return found, "".join(str(w.message) for w in caught)
 
 
@@ -83,7 +82,7 @@ def test_parts_in_any_order_are_one_process(place, reduce):
     for k in np.random.default_rng(1).permutation(8).tolist():
         mine = run(place, (k, 8), reduce=reduce)
         assert_same(mine, run(part=(k, 8), reduce=reduce))
-    assert_same(ensemble.open(place)[0], whole)
+    assert_same(li.open(place), whole)
     storage = archives.open_storage(place)
     before = {name: storage.read(name) for name in storage.sizes()}
     run(place, (3, 8), reduce=reduce)  # it is complete
@@ -114,7 +113,7 @@ def check_that_creation_is_no_damage(url, monkeypatch, most):
     entries = seen[creating:]
     assert entries == sorted(entries)
     assert (entries[0], entries[-1]) == (0, most)  # the last is seen before its commit
-    assert_same(ensemble.open(url)[0], whole)
+    assert_same(li.open(url), whole)
     archives.open_storage(url).stage("q/zarr.json", b"{}")
     with pytest.raises(ValueError, match=r"is damaged: q/zarr\.json is missing or altered"):
         li.open(url)
@@ -135,9 +134,9 @@ def test_a_reduced_run_into_a_bucket_is_the_one_in_memory(options, tmp_path):
 
 
 @pytest.mark.long
-@pytest.mark.parametrize(("count", "options"), [(3, {"save_every": None}), (41, {}), (5, {"step_axis": 0}), (2, {})])
+@pytest.mark.parametrize(("count", "options"), [(3, {"save_every": None}), (41, {}), (5, {"own_step": True}), (2, {})])
 def test_any_number_of_parts_is_one_process(place, count, options):
-    if "step_axis" in options:
+    if "own_step" in options:
         moments = jnp.linspace(1.0, 1.5, 41)
         step = jax.vmap(lambda a: li.schemes.so3_midpoint(li.systems.rigid_body(jnp.stack([a, 2 * a, 2.5 * a]))))(
             moments
@@ -150,7 +149,7 @@ def test_any_number_of_parts_is_one_process(place, count, options):
     for k in range(count):
         run(place, (k, count), **options)
     own = {"killed.tilted": killed.tilted, "killed.axis": killed.axis}
-    assert_same(ensemble.open(place, own=own)[0], run(**options))
+    assert_same(li.open(place, own=own), run(**options))
 
 
 @pytest.mark.long
@@ -159,7 +158,7 @@ def test_the_xla_engine_gives_the_same_in_parts_of_one_member_but_for_rounding(t
     states = jax.tree.map(lambda x: x[:3], STATES)
     for k in range(3):
         run(tmp_path / "run.zarr", (k, 3), states=states)
-    found, whole = ensemble.open(tmp_path / "run.zarr")[0], run(states=states)
+    found, whole = li.open(tmp_path / "run.zarr"), run(states=states)
     for x, y in zip(jax.tree.leaves(found.state), jax.tree.leaves(whole.state), strict=True):
         np.testing.assert_allclose(x[...], y[...], rtol=0, atol=5e-15)  # observed: 7e-16
 
@@ -265,7 +264,7 @@ def test_an_end_at_any_write_of_any_part_leaves_the_same_bits(place, monkeypatch
                     assert (entries >= seen).all()
                     seen = entries
     assert crashes >= 8
-    assert_same(ensemble.open(place)[0], whole)
+    assert_same(li.open(place), whole)
 
 
 def test_two_processes_that_run_one_part_at_the_same_time_do_no_harm(monkeypatch):
@@ -282,7 +281,7 @@ def test_two_processes_that_run_one_part_at_the_same_time_do_no_harm(monkeypatch
     run(url, (0, 2))
     assert inside[0] > 50
     run(url, (1, 2))
-    assert_same(ensemble.open(url)[0], whole)
+    assert_same(li.open(url), whole)
 
 
 def test_a_slower_process_of_the_same_part_takes_nothing_back(monkeypatch):
@@ -420,7 +419,7 @@ def test_a_damaged_part_is_named_and_refused_and_the_others_are_read(place, dama
     assert np.isfinite(found.state.q[:, :14]).all()
     removed(storage, "parts/1/state")
     run(place, (1, 3))
-    assert_same(ensemble.open(place)[0], run())
+    assert_same(li.open(place), run())
 
 
 @pytest.fixture(scope="module")
@@ -489,7 +488,7 @@ def test_an_ordinary_store_is_not_written_in_parts_and_the_only_part_is_ordinary
 
 def test_the_part_of_a_task_follows_the_variables_of_its_scheduler():
     def part(count=None, **variables):
-        return ensemble.part_of_task(count, variables)
+        return li.part_of_task(count, variables)
 
     slurm = dict(SLURM_ARRAY_TASK_MIN="5", SLURM_ARRAY_TASK_COUNT="4", SLURM_ARRAY_TASK_STEP="2")
     assert part(SLURM_ARRAY_TASK_ID="9", **slurm) == (2, 4)
@@ -562,14 +561,14 @@ OWN = {f"__main__.{function.__name__}": function for function in (killed.tilted,
 def whole_of(case):
     make, steps = killed.CASES[case]
     step, states, options = make(steps)
-    return ensemble.run(step, states, progress=False, **options)
+    return li.run(step, states, progress=False, **options)
 
 
 @pytest.mark.long
 @pytest.mark.parametrize("case", ["driven", "own_time"])
 def test_eight_parts_killed_at_random_moments_are_one_process_on_a_disk(tmp_path, case):
     assert kill_parts(case, tmp_path / "run.zarr", {}) >= 6
-    assert_same(ensemble.open(tmp_path / "run.zarr", OWN)[0], whole_of(case))
+    assert_same(li.open(tmp_path / "run.zarr", OWN), whole_of(case))
     assert not list((tmp_path / "run.zarr").rglob("*.partial"))
 
 
@@ -616,7 +615,7 @@ def test_a_run_on_s3_is_that_in_memory_and_holds_no_credentials(proxy, capsys):
     url = "s3://bucket/plain/run.zarr"
     for k in (1, 0):
         run(url, (k, 2))
-    assert_same(ensemble.open(url)[0], run())
+    assert_same(li.open(url), run())
     assert cli.main(["info", url]) == 0
     shown = "".join(capsys.readouterr())
     storage = archives.open_storage(url)
@@ -661,7 +660,7 @@ def test_requests_that_fail_are_repeated_and_nothing_is_lost_or_doubled(proxy, m
     proxy.rate = 0.3
     for k in (1, 0):
         run(faulty, (k, 2))
-    found = ensemble.open(faulty)[0]
+    found = li.open(faulty)
     assert_same(found, whole)
     proxy.rate = 0.0
     assert min(proxy.injected.values()) >= 3
@@ -681,7 +680,7 @@ def test_ten_thousand_faults_lose_nothing(proxy, monkeypatch):
         for k in (1, 0, 2):
             run(url, (k, 3), num_steps=600)
         proxy.rate = 0.0
-        assert_same(ensemble.open(url)[0], whole)
+        assert_same(li.open(url), whole)
 
 
 @needs_moto
@@ -692,7 +691,7 @@ def test_eight_parts_killed_at_random_moments_are_one_process_on_s3(proxy):
     assert kill_parts("driven", url, environment_of(proxy)) >= 6
     proxy.rate = 0.0
     assert sum(proxy.injected.values()) > 10
-    assert_same(ensemble.open(url, OWN)[0], whole_of("driven"))
+    assert_same(li.open(url, OWN), whole_of("driven"))
 
 
 @pytest.mark.long
@@ -722,7 +721,7 @@ def test_a_storage_that_stays_away_ends_the_run_with_a_sentence_without_credenti
     assert "1234" not in _bucket.message(ValueError("429 Too Many Requests at http://x/?sig=1234 now"))
     run(url, (0, 2))
     run(url, (1, 2))
-    assert_same(ensemble.open(url)[0], run())
+    assert_same(li.open(url), run())
 
 
 def test_urls_that_are_no_place_of_a_store_are_refused(tmp_path):

@@ -65,7 +65,7 @@ RUNS = {
     "scan": lambda: li.scan(lambda c, _: (jnp.sin(c), c), 0.5, length=3),
     "interpolate": lambda: li.interpolate(BODY, li.integrate(STEP, STATE, 0.05, 3), [0.06]),
     "adjoint": lambda: jax.grad(undone)(0.05),
-    "ensemble": lambda: li.ensemble.run(STEP, jax.tree.map(lambda x: jnp.stack([x] * 3), STATE), 0.05, 3),
+    "ensemble": lambda: li.run(STEP, jax.tree.map(lambda x: jnp.stack([x] * 3), STATE), 0.05, 3, save_every=None),
     "certify": lambda: li.diagnostics.certify(STEP, STATE, 0.05, 8),
     "lyapunov": lambda: li.diagnostics.lyapunov(STEP, STATE, 0.05, 32),
     "mutual_gravity": fallen,

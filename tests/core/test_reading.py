@@ -1,10 +1,6 @@
-"""Runs read back: a store gives its system too, old stores and files still open, and any run of a system is drawn."""
+"""Runs read back: a store gives its system too, and any run of a system is drawn."""
 
 import json
-import re
-import shutil
-import zipfile
-from functools import partial
 from pathlib import Path
 
 import grid
@@ -16,10 +12,8 @@ import xarray
 
 import lieint_jax as li
 from lieint_jax.app.command import cli
-from lieint_jax.runs import store as archives
 from lieint_jax.runs.store._description import describe, make
 from lieint_jax.systems._pseudo_rigid_body import examples as pseudo_rigid_bodies
-from lieint_jax.systems._shared.older_laws import OlderLaw
 
 DATA = Path(__file__).parents[1] / "data"
 BODY = li.systems.rigid_body([1.0, 2.0, 3.0])
@@ -32,7 +26,7 @@ EXAMPLES = {name.partition("-")[0]: step for name, step, *_ in reversed(grid.ste
 def stored(tmp_path, **options):
     """A short run of three bodies in a store."""
     path, step = tmp_path / "run.zarr", li.schemes.so3_midpoint(BODY)
-    run = li.ensemble.run(step, STATES, 0.05, 20, save_every=10, store=path, progress=False, **options)
+    run = li.run(step, STATES, 0.05, 20, save_every=10, store=path, progress=False, **options)
     return path, run
 
 
@@ -49,7 +43,8 @@ def test_every_system_of_the_package_is_made_again_from_its_description(name, bo
 @pytest.mark.long
 def test_a_store_gives_the_trajectory_and_the_system_back(tmp_path):
     path, run = stored(tmp_path)
-    again, body = li.ensemble.open(path)
+    again = li.open(path)
+    body = again.system
     np.testing.assert_array_equal(again.state.q[:], run.state.q[:])
     assert jax.tree.structure(body) == jax.tree.structure(BODY)
     last = jax.tree.map(lambda x: jnp.asarray(x[-1]), again.state)
@@ -74,8 +69,9 @@ def test_every_step_of_the_package_is_made_again_from_its_description(step):
 def test_systems_of_members_are_read_back(tmp_path):
     J = np.array([[1.0, 2.0, 3.0], [2.0, 2.0, 3.0], [2.0, 4.0, 5.0]])
     steps = jax.vmap(lambda J: li.schemes.so3_midpoint(li.systems.RigidBody(J)))(J)
-    li.ensemble.run(steps, STATES, 0.05, 4, store=tmp_path / "own.zarr", step_axis=0, progress=False)
-    run, bodies = li.ensemble.open(tmp_path / "own.zarr")
+    li.run(steps, STATES, 0.05, 4, store=tmp_path / "own.zarr", own_step=True, progress=False, save_every=None)
+    run = li.open(tmp_path / "own.zarr")
+    bodies = run.system
     np.testing.assert_array_equal(bodies.inertia, J)
     assert xarray.open_zarr(tmp_path / "own.zarr").system_inertia.dims[0] == "member"
     last = jax.tree.map(lambda x: jnp.asarray(x[-1]), run.state)
@@ -86,9 +82,9 @@ def test_systems_of_members_are_read_back(tmp_path):
 @pytest.mark.long
 def test_a_summary_is_read_back_with_its_system(tmp_path):
     path, run = stored(tmp_path, reduce="energy")
-    again, body = li.ensemble.open(path)
-    np.testing.assert_array_equal(again.greatest, run.greatest)
-    np.testing.assert_array_equal(body.inertia, [1, 2, 3])
+    again = li.open(path)
+    np.testing.assert_array_equal(again.summary.greatest, run.summary.greatest)
+    np.testing.assert_array_equal(again.system.inertia, [1, 2, 3])
 
 
 def my_wells(R):
@@ -107,58 +103,6 @@ def test_a_custom_function_is_requested_by_its_name():
 
 
 @pytest.mark.parametrize(
-    ("stored", "present"),
-    [
-        ("lieint_jax.systems.heavy_top.Linear", li.systems.LinearPotential),  # by version 0.2
-        ("lieint_jax.systems._heavy_top.Linear", li.systems.LinearPotential),  # by 0.3.0, as all below
-        ("lieint_jax.torques._older.OlderLaw", OlderLaw),
-        ("lieint_jax.schemes._shared.free_bodies.FreeFlight", li.schemes.FreeFlight),
-        ("lieint_jax.types.Total", li.types.LawSum),
-    ],
-)
-def test_names_that_earlier_versions_stored_are_found(stored, present):
-    assert make({"name": stored}, {}, {}) is present
-
-
-def of_version_0_4(name, **fields):
-    """The description of an object as version 0.4 stored it."""
-    numbers = {key: {"constant": x, "dtype": "<f8"} for key, x in fields.items() if isinstance(x, float | list)}
-    return {"class": f"lieint_jax.{name}", "fields": fields | numbers}
-
-
-def test_fields_that_version_0_4_stored_are_found():
-    """They have other names now, or are in another object."""
-    position, velocity = [0.0, 2.0, 0.0], [-0.7, 0.0, 0.1]
-    kepler = of_version_0_4("orbits.KeplerFromState", mu=1.0, position=position, velocity=velocity, start=0.5)
-    air = of_version_0_4("orbits.Air", orbit=kepler, density=0.3, distance=1.9, scale_height=0.2, rate=0.06)
-    light = of_version_0_4("orbits.Eclipse", orbit=kepler, sun=[0.0, -1.0, 0.0], radius=1.0, angle=0.1, cylinder=True)
-    plates = of_version_0_4("torques.Plates", sizes=[2.0], normals=[[1.0, 0.0, 0.0]], arms=[[0.0, 1.0, 0.5]])
-    sail = {"plates": plates, "sun": [0.6, 0.8, 0.0], "light": None, "specular": 0.3, "diffuse": 0.1}
-    orbit = li.orbits.from_state(1.0, position, velocity, 0.5)
-    around = li.orbits.atmosphere(orbit, 0.3, 0.2, 0.9, radius=1.0, rate=0.06)
-    plate = [2.0], [[1.0, 0.0, 0.0]], [[0.0, 1.0, 0.5]]
-    instant = jnp.array(0.3), jnp.array([0.8, 0.0, 0.6, 0.0]), jnp.array([0.5, -0.2, 0.3])
-    for stored, present, arguments in (
-        (kepler, orbit, instant[:1]),
-        (air, around, instant[:1]),
-        (light, li.orbits.eclipse(orbit, [0.0, -1.0, 0.0], 1.0, "cylindrical", angle=0.1), instant[:1]),
-        (
-            of_version_0_4("torques.SolarPlates", **sail),
-            li.torques.solar_plates(*plate, [0.6, 0.8, 0.0], specular=0.3, diffuse=0.1),
-            instant,
-        ),
-        (
-            of_version_0_4("torques.Aerodynamic", plates=plates, air=air, drag=2.0),
-            li.torques.aerodynamic(around, *plate, drag=2.0),
-            instant,
-        ),
-    ):
-        again = make(stored, {}, {})
-        assert jax.tree.structure(again) == jax.tree.structure(present)
-        jax.tree.map(np.testing.assert_array_equal, again(*arguments), present(*arguments))
-
-
-@pytest.mark.parametrize(
     "name",
     ["os.system", "lieint_jax.nothing", "lieint_jax.app.command.cli.os.system", "lieint_jax.runs._storage.disk.shutil"],
 )
@@ -167,72 +111,22 @@ def test_a_description_cannot_name_code_outside_the_package(name):
         make({"name": name}, {}, {})
 
 
+@pytest.mark.parametrize("other", [{"energy": {"name": "lieint_jax.maps.cayley"}}, None])
+def test_a_description_has_the_fields_of_its_class(other):
+    """No other ones, which could be methods, and no fewer."""
+    description, arrays = describe(li.schemes.so3_midpoint(BODY))
+    system = description["system"]
+    system["fields"] = system["fields"] | other if other else {}
+    with pytest.raises(ValueError, match=f"RigidBody has other fields .*: {'energy' if other else 'inertia'}"):
+        make(system, arrays, {})
+
+
 def test_a_damaged_constant_array_raises_an_error(tmp_path):
     path, _ = stored(tmp_path)
     [chunk] = (path / "system_inertia" / "c").rglob("0")
     chunk.write_bytes(chunk.read_bytes()[:-1] + b"\0")
     with pytest.raises(ValueError, match=r"system_inertia/c/0 is altered"):
-        li.ensemble.open(path)
-
-
-def old(tmp_path, name):
-    """Results that version 0.1, 0.2 or 0.3 wrote."""
-    if name.endswith(".npz"):
-        return shutil.copy(DATA / name, tmp_path / name)
-    with zipfile.ZipFile(DATA / f"{name}.zip") as archive:
-        archive.extractall(tmp_path)
-    return tmp_path / re.sub(r"-0\.\d", "", name)
-
-
-@pytest.mark.long
-def test_results_of_version_0_1_still_open(tmp_path, lieint):
-    path = old(tmp_path, "toutatis-0.1.npz")
-    run, _ = archives.load_results(Path(path))
-    assert run.state.q.shape == (11, 2, 4)
-    assert "2 of 2 members converged at every step" in lieint("info", str(path))
-
-
-@pytest.mark.long
-def test_results_of_version_0_1_are_drawn(tmp_path, lieint):
-    assert "precession period" in lieint("plot", str(old(tmp_path, "toutatis-0.1.npz")))
-
-
-@pytest.mark.parametrize("resume", [True, False])
-def test_a_store_of_version_0_1_is_refused_with_what_reads_it(tmp_path, resume):
-    path = old(tmp_path, "toutatis-0.1.zarr")
-    step = li.schemes.so3_midpoint(BODY)
-    resumed = partial(li.ensemble.run, step, STATES, 0.05, 20, store=path, resume=True, progress=False)
-    with pytest.raises(ValueError, match=r"was written by version 0.1: only its states can be read, by xarray"):
-        resumed() if resume else li.ensemble.open(path)
-
-
-def test_a_store_of_version_0_2_still_opens_and_is_checked(tmp_path):
-    """Its names have dots, and its chunks have checksums but no record of their places."""
-    path = old(tmp_path, "gyrostat-0.2.zarr")
-    run, body = li.ensemble.open(path)
-    np.testing.assert_allclose(run.state.extra["rotor"][-1], [[0.0, 0.0, 0.15]] * 2, rtol=0, atol=1e-15)
-    np.testing.assert_array_equal(body.motor.momentum, [0.0, 0.0, 0.3])
-    assert run.state.t.shape == run.state.work.shape == (3, 2)
-    step = li.schemes.so3_midpoint(BODY)
-    with pytest.raises(ValueError, match=r"was written by an older version.*run again into another store"):
-        li.ensemble.run(step, STATES, 0.05, 20, store=path, resume=True, progress=False)
-    chunk = path / "extra.rotor" / "c" / "0" / "0" / "0"
-    chunk.write_bytes(chunk.read_bytes()[:-1] + b"\0")
-    with pytest.raises(ValueError, match=r"extra.rotor/c/0/0/0 is altered \(extra.rotor of time 0 … 2, member 0 … 1\)"):
-        li.ensemble.open(path)
-
-
-def test_a_store_of_version_0_3_that_is_not_complete_still_opens(tmp_path):
-    """Its checkpoint is in arrays, and κ of its step has a name of JAX."""
-    run = li.open(old(tmp_path, "body-0.3.zarr"))
-    assert "not complete" in repr(run)
-    assert jax.tree.structure(run.step) == jax.tree.structure(li.schemes.so3_midpoint(BODY))
-    again = li.run(run.step, jax.tree.map(lambda x: x[0], run.state), 0.05, 35, save_every=5, progress=False)
-    np.testing.assert_allclose(run.state.q[:], again.state.q, rtol=0, atol=1e-14)
-    np.testing.assert_array_equal(run.failed, [-1, -1])
-    assert np.abs(run.energy_error()).max() < 2e-15  # observed: 2e-16
-    with pytest.raises(ValueError, match=r"was written by an older version.*run again into another store"):
-        li.run(run.step, STATES, 0.05, 60, save_every=5, store=tmp_path / "body.zarr", resume=True, progress=False)
+        li.open(path)
 
 
 @pytest.mark.long
@@ -260,8 +154,6 @@ def test_summaries_and_matrices_are_drawn(tmp_path):
     assert (tmp_path / "run-change.png").exists()
     body, state, dt = pseudo_rigid_bodies()["ball"]
     states = jax.tree.map(lambda x: jnp.stack([x, x]), state)
-    li.ensemble.run(
-        li.schemes.additive(body), states, dt, 20, save_every=2, store=tmp_path / "ball.zarr", progress=False
-    )
+    li.run(li.schemes.additive(body), states, dt, 20, save_every=2, store=tmp_path / "ball.zarr", progress=False)
     assert cli.main(["plot", str(tmp_path / "ball.zarr")]) == 0
     assert (tmp_path / "ball-motion.png").exists()

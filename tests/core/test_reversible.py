@@ -304,12 +304,6 @@ def test_checkpoints_of_steps_between_given_times():
     np.testing.assert_allclose(found, expected, rtol=1e-14, atol=1e-15)
 
 
-@pytest.mark.quick
-def test_levels_are_deprecated():
-    with pytest.warns(DeprecationWarning, match="levels"):
-        li.adjoints.RecursiveCheckpointAdjoint(2)
-
-
 def test_derivatives_of_observations_in_everything():
     times = jnp.array([0.33, 1.02, 0.071])  # at a step's end the derivative by dt is that of one side
 

@@ -29,9 +29,8 @@ from ports import free_port
 from stores import Crash, assert_same, disk_for
 
 import lieint_jax as li
-from lieint_jax import ensemble
 from lieint_jax.app.command import cli, info
-from lieint_jax.ensemble import archives
+from lieint_jax.runs import store as archives
 from lieint_jax.runs._job import devices as _devices
 from lieint_jax.runs.store import _identity
 
@@ -49,7 +48,7 @@ STATES = li.State(jnp.array(Q), jnp.array(np.array(MOMENTA)))
 
 
 def run(path=None, step=STEP, dt=0.1, num_steps=60, save_every=5, **options):
-    return ensemble.run(step, STATES, dt, num_steps, save_every=save_every, store=path, progress=False, **options)
+    return li.run(step, STATES, dt, num_steps, save_every=save_every, store=path, progress=False, **options)
 
 
 def same_folders(a, b):
@@ -73,18 +72,18 @@ def test_a_store_holds_what_memory_would(tmp_path, small_chunks):
 
 @pytest.mark.quick
 def test_reductions_are_those_of_the_trajectory(tmp_path, small_chunks):
-    every = ensemble.run(STEP, STATES, 0.1, 60, save_every=1, progress=False)
+    every = li.run(STEP, STATES, 0.1, 60, save_every=1, progress=False)
     change = (every.state.q[1:, :, 0] - every.state.q[0, :, 0]).reshape(12, 5 * 40)
-    found = run(reduce=lambda step, z: z.q[0])
+    found = run(reduce=lambda step, z: z.q[0]).summary
     for kept, expected in zip(found[1:4], (change.min(1), change.max(1), change.mean(1)), strict=True):
         np.testing.assert_allclose(kept[1:], expected, rtol=1e-12)
     np.testing.assert_array_equal(found.residual[1:], every.info.residual[1:].reshape(12, -1).max(1))
     assert not found.unconverged.any()
     np.testing.assert_array_equal(found.state.q, every.state.q[-1])
-    energy = run(reduce="energy")
+    energy = run(reduce="energy").summary
     assert max(np.abs(x).max() for x in energy[1:4]) < 2e-14  # floor 3e-15
     assert energy.least[1:].max() < 0 < energy.greatest[1:].min()
-    jax.tree.map(np.testing.assert_array_equal, run(tmp_path / "a.zarr", reduce="energy"), energy)
+    assert_same(run(tmp_path / "a.zarr", reduce="energy").summary, energy)
     described = info.contents(tmp_path / "a.zarr")
     for name, value in (("least", energy.least.min()), ("greatest", energy.greatest.max())):
         assert f"{name} {value:.3g}" in described
@@ -96,7 +95,7 @@ def test_reductions_are_those_of_the_trajectory(tmp_path, small_chunks):
 def test_xarray_reads_a_store(tmp_path, small_chunks):
     xarray = pytest.importorskip("xarray")
     memory = run()
-    run(ensemble.StoreOptions(tmp_path / "run.zarr", {"seed": 3, "scenario": {"title": "x"}}, "d"))
+    run(li.StoreOptions(tmp_path / "run.zarr", {"seed": 3, "scenario": {"title": "x"}}, "d"))
     with xarray.open_zarr(tmp_path / "run.zarr") as data:
         assert data.sizes == {"time": 13, "member": 40, "quaternion": 4, "axis": 3, "system_inertia_axis0": 3}
         np.testing.assert_array_equal(data.q.sel(time=2.0, method="nearest"), memory.state.q[4])
@@ -178,7 +177,7 @@ def test_an_end_at_any_write_leaves_a_store_that_resumes_to_the_same_bits(tmp_pa
 
 def test_a_resume_with_another_run_is_refused_and_says_why(tmp_path, small_chunks, monkeypatch):
     path = tmp_path / "run.zarr"
-    run(ensemble.StoreOptions(path, {"scenario": {"seed": 1}}))
+    run(li.StoreOptions(path, {"scenario": {"seed": 1}}))
     before = {f: f.read_bytes() for f in path.rglob("*") if f.is_file()}
     with pytest.raises(ValueError, match=r"exists and is not overwritten; resume continues it"):
         run(path)
@@ -197,7 +196,7 @@ def test_a_resume_with_another_run_is_refused_and_says_why(tmp_path, small_chunk
         with pytest.raises(ValueError, match=message):
             run(path, resume=True, **options)
     with pytest.raises(ValueError, match=r"scenario\.seed is 1 in the store and 2 here"):
-        run(ensemble.StoreOptions(path, {"scenario": {"seed": 2}}), resume=True)
+        run(li.StoreOptions(path, {"scenario": {"seed": 2}}), resume=True)
     internals.another_version(monkeypatch, lieint_jax="9.9")
     with pytest.raises(ValueError, match=r"versions\.lieint_jax is .* in the store and '9.9' here"):
         run(path, resume=True)
@@ -274,10 +273,10 @@ MIXTURES = {  # which commit, what is done to it, what is said of it
 def test_a_copy_that_mixes_commits_or_places_is_neither_opened_nor_resumed(tmp_path, commits, mixture, no_loop):
     which, change, sentence = MIXTURES[mixture]
     path = shutil.copytree(commits[which], tmp_path / "copy.zarr")
-    ensemble.open(path)
+    li.open(path)
     change(path, commits)
     with pytest.raises(ValueError, match=sentence):
-        ensemble.open(path)
+        li.open(path)
     with pytest.raises(ValueError, match=sentence):
         run(path, resume=True)
 
@@ -293,7 +292,7 @@ def test_a_store_that_grows_while_it_is_checked_is_not_called_damaged(tmp_path, 
             shutil.copytree(commits[2], path, dirs_exist_ok=True)
 
     internals.after_roots_are_read(monkeypatch, overtake)
-    assert ensemble.open(path)[0].t.shape == (12,)
+    assert li.open(path).t.shape == (12,)
     assert left[0] < 0
 
 
@@ -304,7 +303,7 @@ def test_a_root_that_was_not_written_after_a_commit_is_written_by_the_run_that_r
     path = shutil.copytree(commits[commit], tmp_path / "run.zarr")
     copied(commits[commit - 1], path, "zarr.json")
     assert zarr.open_group(str(path), mode="r")["q"].shape[0] == 4 * commit
-    assert ensemble.open(path)[0].t.shape == ((12, 13)[commit - 2],)
+    assert li.open(path).t.shape == ((12, 13)[commit - 2],)
     with pytest.MonkeyPatch.context() as patch:
         internals.commit_every(patch, 4)
         internals.small_chunks(patch, 20, 8)
@@ -319,11 +318,11 @@ def test_chunks_of_one_entry_are_committed_one_by_one(tmp_path, monkeypatch, opt
     internals.commit_every(monkeypatch, 1)
     memory, disk = run(**options), run(tmp_path / "run.zarr", **options)
     assert_same(memory, disk)
-    assert_same(ensemble.open(tmp_path / "run.zarr")[0], memory)
+    assert_same(li.open(tmp_path / "run.zarr"), memory)
     if not options:
         whole = li.run(STEP, STATES, 0.1, 60, save_every=5, progress=False)
         assert_same(whole.save(tmp_path / "saved.zarr").state, memory.state)
-        assert_same(ensemble.open(tmp_path / "saved.zarr")[0], memory)
+        assert_same(li.open(tmp_path / "saved.zarr"), memory)
 
 
 @pytest.mark.quick
@@ -412,7 +411,7 @@ def test_two_processes_that_create_one_store(tmp_path, monkeypatch):
     with pytest.raises(ValueError, match=r"run\.zarr was created by another run in the meantime"):
         run(path, num_steps=5)
     assert [p.name for p in tmp_path.iterdir()] == ["run.zarr"]
-    assert ensemble.open(path)[0].info.converged[...].all()
+    assert li.open(path).info.converged[...].all()
 
 
 @pytest.mark.quick
@@ -446,7 +445,7 @@ def test_places_and_attributes_that_no_store_can_have_are_refused_before_the_run
         ("loop", loop, "'loop' is not: Circular"),
     ):
         with pytest.raises((ValueError, OSError), match=message):
-            run(ensemble.StoreOptions(tmp_path / f"{name}.zarr", attributes))
+            run(li.StoreOptions(tmp_path / f"{name}.zarr", attributes))
     assert [p.name for p in tmp_path.iterdir()] == ["link.zarr"]
 
 
@@ -472,7 +471,7 @@ def test_a_reduced_quantity_is_traced_in_the_first_call_only():
     first = run(reduce=noted)
     assert traced
     traced.clear()
-    jax.tree.map(np.testing.assert_array_equal, run(reduce=noted), first)
+    assert_same(run(reduce=noted), first)
     assert not traced
 
 
@@ -481,7 +480,7 @@ def test_a_quantity_that_is_nan_is_nan_in_all_of_its_interval_and_refused_at_the
     whole = run(num_steps=20, save_every=1).state.q[1:, :, 0]
     limit = float(whole[:10].max())
     assert (whole[10:] > limit).any()
-    found = run(num_steps=20, save_every=10, reduce=lambda step, z: jnp.where(z.q[0] > limit, jnp.nan, z.q[0]))
+    found = run(num_steps=20, save_every=10, reduce=lambda step, z: jnp.where(z.q[0] > limit, jnp.nan, z.q[0])).summary
     for series in found[1:4]:
         np.testing.assert_array_equal(np.isnan(series), [False, False, True])
     np.testing.assert_allclose(found.mean[1], (whole[:10] - Q[:, 0]).mean(), rtol=0, atol=1e-15)  # observed 6e-17
@@ -719,7 +718,7 @@ def same_arrays(a, b):
 ALONE = """
 import os, sys, jax
 from lieint_jax.app.command import cli
-from lieint_jax.ensemble import processes
+from lieint_jax.runs import processes
 connect = processes.initialize
 def connect_and_vanish(*arguments):
     connect(*arguments)
@@ -782,7 +781,7 @@ def test_the_command_line_writes_resumes_and_shows(tmp_path, lieint):
 
 EIGHT = """
 import hashlib, jax, lieint_jax as li
-from lieint_jax import ensemble
+from lieint_jax.runs import first_devices
 jax.config.update("jax_enable_x64", True)
 J = jax.numpy.array([[1.0, 2.0, 3.0], [1.0, 1.0, 1.5]] * 150)
 states = jax.vmap(lambda J, w: li.systems.rigid_body(J).state(angular_velocity=w))(
@@ -790,12 +789,13 @@ states = jax.vmap(lambda J, w: li.systems.rigid_body(J).state(angular_velocity=w
 )
 steps = jax.vmap(lambda J: li.schemes.so3_midpoint(li.systems.rigid_body(J)))(J)
 for count in (1, 3, 8):
-    mesh = ensemble.first_devices(count)
-    options = dict(save_every=100, step_axis=0, mesh=mesh)
-    kept = [ensemble.run(steps, states, 0.1, 400, reduce=how, **options) for how in (None, "energy")]
+    mesh = first_devices(count)
+    options = dict(save_every=100, own_step=True, mesh=mesh)
+    kept = [li.run(steps, states, 0.1, 400, reduce=how, **options) for how in (None, "energy")]
     times = jax.numpy.linspace(0, 20, 101) ** 1.2
-    kept += [ensemble.run(steps, states, step_axis=0, times=times, save_at=[0.3, 5, 5.01, 30], mesh=mesh)]
-    print(*(hashlib.sha256(b"".join(x.tobytes() for x in jax.tree.leaves(k))).hexdigest() for k in kept))
+    kept += [li.run(steps, states, own_step=True, times=times, save_at=[0.3, 5, 5.01, 30], mesh=mesh)]
+    leaves = [jax.tree.leaves((run.trajectory, run.summary)) for run in kept]
+    print(*(hashlib.sha256(b"".join(x.tobytes() for x in found)).hexdigest() for found in leaves))
 """
 
 
@@ -817,7 +817,7 @@ def test_energy_over_a_million_steps(make, bound):
         jnp.array(q / np.linalg.norm(q, axis=1, keepdims=True)), jnp.array(w)
     )
     relative = lambda step, z: jnp.log(step.system.energy(z))  # noqa: E731
-    found = ensemble.run(make(BODY), states, 0.05, 1_000_000, save_every=100_000, reduce=relative, progress=False)
+    found = li.run(make(BODY), states, 0.05, 1_000_000, save_every=100_000, reduce=relative, progress=False).summary
     worst = max(-found.least.min(), found.greatest.max())
     slope = np.polyfit(found.t / 0.05, found.mean, 1)[0]
     assert worst < bound

@@ -27,7 +27,6 @@ FLOORS = [  # from the roof down; a module imports only from floors below its ow
     ("plots", "report"),
     ("files",),
     ("_cache",),
-    ("ensemble",),  # older names
     ("fitting",),
     ("diagnostics", "measure"),
     ("adjoints",),  # the page of the derivatives that `runs` has
@@ -48,7 +47,7 @@ FLOORS = [  # from the roof down; a module imports only from floors below its ow
     ("native",),
     ("_xla",),
     ("_text", "dates"),
-    ("_checks", "_deprecated", "_discover", "_version"),
+    ("_checks", "_discover", "_version"),
 ]
 LEVEL = {name: level for level, floor in enumerate(FLOORS) for name in floor}
 CORE = {"jax", "numpy"}  # and the standard library: all that the numerical core needs, everything below `runs`
@@ -170,7 +169,7 @@ def test_no_import_goes_in_a_circle():
 
 def test_the_house_has_few_rooms_and_every_one_a_floor():
     assert ROOMS - {"__init__"} == set(LEVEL)
-    assert len(ROOMS - {"__init__", "_deprecated"}) <= 35
+    assert len(ROOMS - {"__init__"}) <= 33  # of them `app` goes
     assert all((path.parent / "__init__.py").is_file() for path in FILES)
 
 
@@ -197,7 +196,7 @@ def test_any_stands_for_few_types():
 
 
 def test_a_function_is_short_enough_to_be_seen_whole():
-    """At most 120 lines, docstring included; the longest is `ensemble.run`, most of which is its docstring."""
+    """At most 120 lines, docstring included; the longest is `li.run`, most of which is its docstring."""
     for path in FILES:
         for node in ast.walk(parsed(path)):
             if isinstance(node, ast.FunctionDef):
@@ -227,7 +226,6 @@ def test_arguments_after_the_fourth_are_passed_by_name(module):
     by_position = (inspect.Parameter.POSITIONAL_ONLY, inspect.Parameter.POSITIONAL_OR_KEYWORD)
     many = {"constant_lag": 5}  # the columns of a table of bodies, and G
     many |= {"integrate": 5, "event": 7, "reversible": 5, "lyapunov": 5, "kepler": 7}  # calls of the first versions
-    many |= {"run": 6} if module is li.ensemble else {}
     for key in module.__all__:
         function = getattr(module, key)
         if inspect.isfunction(function) or (inspect.isclass(function) and key[0].islower()):

@@ -19,7 +19,8 @@ from stores import assert_same
 
 import lieint_jax as li
 from lieint_jax.app.command import info
-from lieint_jax.ensemble import processes
+from lieint_jax.runs import processes
+from lieint_jax.runs import store as archives
 
 BODY = li.systems.rigid_body([1.0, 2.0, 3.0])
 STEP = li.schemes.so3_midpoint(BODY)
@@ -177,7 +178,7 @@ def test_an_interrupt_states_what_is_complete_and_the_same_call_computes_the_res
 
 def test_a_part_that_another_process_writes_may_be_repeated(tmp_path):
     submit(tmp_path / "run.zarr", Engine())
-    lock = li.ensemble.archives.open_storage(tmp_path / "run.zarr").lock("parts/1")
+    lock = archives.open_storage(tmp_path / "run.zarr").lock("parts/1")
     with lock, pytest.raises(processes.LostProcess, match="Part 1: BlockingIOError: another run is writing"):
         submit(tmp_path / "run.zarr", Engine())
 
@@ -191,7 +192,7 @@ def test_cores_are_those_of_the_quota(tmp_path, monkeypatch, version):
     (cpu := top if version == 2 else top / "cpu").joinpath("pods/mine").mkdir(parents=True)
     own.write_text("0::/pods/mine\n" if version == 2 else "5:memory:/x\n4:cpuacct,cpu:/pods/mine\n")
     internals.control_groups(monkeypatch, top, own)
-    assert li.ensemble.count_cores() == 64  # no limit
+    assert li.count_cores() == 64  # no limit
 
     def limit(place, cores):
         files = {"cpu.max": f"{cores}00000 100000" if cores else "max 100000"}
@@ -201,17 +202,17 @@ def test_cores_are_those_of_the_quota(tmp_path, monkeypatch, version):
             (cpu / place / name).write_text(text.replace("0.500000", "50000"))
 
     limit("pods/mine", None)
-    assert li.ensemble.count_cores() == 64
+    assert li.count_cores() == 64
     limit("pods", 6)  # around it
-    assert li.ensemble.count_cores() == 6
+    assert li.count_cores() == 6
     limit("pods/mine", 0.5)
-    assert li.ensemble.count_cores() == 1
+    assert li.count_cores() == 1
     internals.control_groups(monkeypatch, top, tmp_path / "nothing")
-    assert li.ensemble.count_cores() == 64
+    assert li.count_cores() == 64
     monkeypatch.setenv("SLURM_CPUS_PER_TASK", "4")
-    assert li.ensemble.count_cores() == 4
+    assert li.count_cores() == 4
     monkeypatch.setenv("OMP_NUM_THREADS", "3,2")
-    assert li.ensemble.count_cores() == 3
+    assert li.count_cores() == 3
 
 
 def test_parts_of_another_machine_are_accepted_if_asked_for_and_recorded(tmp_path, monkeypatch):

@@ -162,15 +162,16 @@ def test_an_ensemble_of_a_network_and_its_store(tmp_path):
     body = body_of(given)
     step = li.schemes.splitting(body)
     states = jax.vmap(lambda w: body.state(angular_velocity=w))(np.array([[0.2, 0.1, 1.0], [0.1, 0.3, 0.8]]))
-    run = li.ensemble.run(step, states, 0.1, 4, save_every=2, store=tmp_path / "run.zarr", progress=False)
+    run = li.run(step, states, 0.1, 4, save_every=2, store=tmp_path / "run.zarr", progress=False)
     own = {f"{Net.__module__}.Net": Net, "jax.numpy.tanh": jnp.tanh}
     name = f"{jnp.tanh.__module__}.{jnp.tanh.__qualname__}"
-    found, system = li.ensemble.open(tmp_path / "run.zarr", own=own | {name: jnp.tanh})
+    found = li.open(tmp_path / "run.zarr", own=own | {name: jnp.tanh})
+    system = found.system
     np.testing.assert_array_equal(found.state.p, run.state.p)
     first = jax.tree.map(lambda x: jnp.asarray(x[-1, 0]), found.state)
     np.testing.assert_allclose(system.energy(first), body.energy(first), rtol=1e-14)
     assert jax.tree.structure(system.potential) == jax.tree.structure(body.potential)
-    summary = li.ensemble.run(step, states, 0.1, 4, reduce=Measure(net(3)), progress=False)
+    summary = li.run(step, states, 0.1, 4, reduce=Measure(net(3)), progress=False, save_every=None).summary
     assert np.isfinite(summary.greatest).all()
 
 

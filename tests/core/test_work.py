@@ -51,7 +51,7 @@ def batch(engine, own, monkeypatch):
         by_engine(monkeypatch, engine)
     many = jax.tree.map(lambda x: jnp.broadcast_to(x, (2, *x.shape)), START)
     many = many._replace(t=jnp.array([T0, 1.7]) if own else START.t)
-    return li.ensemble.run(STEP, many, DT, N, save_every=50, progress=False).state
+    return li.run(STEP, many, DT, N, save_every=50, progress=False).state
 
 
 RUNS = {

@@ -10,7 +10,8 @@ from types import SimpleNamespace
 
 import numpy as np
 
-from lieint_jax import _checks, ensemble
+import lieint_jax as li
+from lieint_jax import _checks
 from lieint_jax._xla import compiled
 from lieint_jax.native import _kernel, _machine, _march_code, _traced
 from lieint_jax.runs._host import execute as _execute
@@ -41,11 +42,12 @@ def by_engine(monkeypatch, name, jobs=None):
 
 
 def runs_by(monkeypatch, engines, *arguments, **options):
-    """The results of `ensemble.run` by each of the engines."""
+    """The saves or the summary of `li.run` by each of the engines."""
     found = []
     for name in engines:
         by_engine(monkeypatch, name)
-        found.append(ensemble.run(*arguments, progress=False, **options))
+        run = li.run(*arguments, progress=False, **options)
+        found.append(run.summary if run.trajectory is None else run.trajectory)
     return found
 
 

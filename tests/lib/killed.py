@@ -79,7 +79,7 @@ def main(case, path, pause, *part):
     make, steps = CASES[case]
     step, states, options = make(steps)
     numbers = tuple(map(int, part)) or None
-    li.ensemble.run(step, states, store=path, resume=True, progress=False, part=numbers, **options)
+    li.run(step, states, store=path, resume=True, progress=False, part=numbers, **options)
 
 
 if __name__ == "__main__":

@@ -7,6 +7,8 @@ from unittest import mock
 import jax
 import numpy as np
 
+import lieint_jax as li
+
 
 class Crash(BaseException):
     """As if the process ended here."""
@@ -28,7 +30,8 @@ def disk_for(most, error=Crash):
 
 
 def assert_same(a, b):
-    """Trees of arrays in memory or on disk are the same, bit for bit."""
+    """Trees of arrays, or the saves of runs, in memory or on disk, are the same, bit for bit."""
+    a, b = ((x.trajectory, x.summary) if isinstance(x, li.Run) else x for x in (a, b))
     for x, y in zip(jax.tree.leaves(a), jax.tree.leaves(b), strict=True):
         assert x.dtype == y.dtype
         np.testing.assert_array_equal(x[...], y[...])

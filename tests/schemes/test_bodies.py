@@ -291,7 +291,7 @@ def test_bodies_may_rotate_by_preprocessed_steps(step, exact, dt, form):
     assert P < 1e-15
     assert L < 7e-15
     many = jax.tree.map(lambda x: jnp.stack([x, x]), START)
-    together = li.ensemble.run(step, many, dt, 20, save_every=20).state.q[-1, 1]
+    together = li.run(step, many, dt, 20, save_every=20).state.q[-1, 1]
     np.testing.assert_allclose(
         together, li.integrate(step, START, dt, 20, save_every=20).state.q[-1], rtol=0, atol=1e-14
     )

@@ -176,7 +176,7 @@ def test_too_few_sweeps_and_too_long_steps_are_flagged():
     assert distance(few, STEP(STATE, 0.25)[0]) < 1e-3
     assert not li.integrate(step, STATE, 0.25, 2).info.converged[1:].any()  # asked for, so reported, not refused
     with pytest.warns(RuntimeWarning, match="1 of 1 members did not converge at every step"):
-        li.ensemble.run(step, jax.tree.map(lambda x: x[None], STATE), 0.25, 2, progress=False)
+        li.run(step, jax.tree.map(lambda x: x[None], STATE), 0.25, 2, progress=False, save_every=None)
     assert not jax.jit(STEP)(STATE, 30.0)[1].converged
     with pytest.raises(ValueError, match=r"its sweeps diverge.* Use a smaller dt"):
         li.integrate(STEP, STATE, 30.0, 1)

@@ -35,7 +35,7 @@ def members(step, state, count, seed=0, first=0):
 
 
 def run(step, states, dt, num_steps, save_every=None):
-    found = li.ensemble.run(step, states, dt, num_steps, save_every=save_every or num_steps, progress=False)
+    found = li.run(step, states, dt, num_steps, save_every=save_every or num_steps, progress=False)
     assert found.info.converged.all()
     return found.state
 

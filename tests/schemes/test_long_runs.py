@@ -14,7 +14,8 @@ pytest.importorskip("llvmlite")
 import grid
 from native_members import compiled
 
-from lieint_jax import diagnostics, ensemble
+import lieint_jax as li
+from lieint_jax import diagnostics
 from lieint_jax.native import UnsupportedError
 
 MEMBERS, LONG, SHORT = 8, 2000, 20
@@ -61,7 +62,7 @@ def order_and_error(name, step, states, dt):
     """The order by two runs of the same length, and the error of the longer steps."""
     errors = []
     for parts in (1, 2):
-        run = ensemble.run(step, states, dt / parts, SHORT * parts, progress=False)
+        run = li.run(step, states, dt / parts, SHORT * parts, progress=False, save_every=None)
         end = jax.tree.map(lambda x: x[-1], run.state)
         times = np.asarray(end.t - states.t) if step.own_time else np.full(MEMBERS, SHORT * dt)
         exact = reference(name, states.t is not None)([states, times], [step.system])
@@ -75,7 +76,7 @@ def order_and_error(name, step, states, dt):
 def test_long_runs_conserve_what_their_scheme_declares_at_its_order(scheme, name, step, state, dt):
     system_name = name.partition("-")[0]
     states = members(step, state)
-    run = ensemble.run(step, states, float(dt), LONG, save_every=LONG // 20, progress=False)
+    run = li.run(step, states, float(dt), LONG, save_every=LONG // 20, progress=False)
     energies, momenta = (np.asarray(x) for x in energies_and_momenta()(step.system, run.state))
     if grid.declares(scheme, name, "energy"):
         assert np.abs(energies / energies[0] - 1).max() < 2e-12  # 5e-13, of a binary; 1e-14 of most

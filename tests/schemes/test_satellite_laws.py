@@ -97,7 +97,7 @@ def test_works_in_a_store_are_named_by_their_laws(tmp_path):
     xarray = pytest.importorskip("xarray")
     body, state = start(torques.viscous(0.1) + torques.pd_trace(0.1, 0.1), works=True)
     states = jax.tree.map(lambda x: jnp.stack([x, x]), state)
-    li.ensemble.run(torqued_midpoint(body), states, 0.05, 4, save_every=2, store=tmp_path / "run.zarr")
+    li.run(torqued_midpoint(body), states, 0.05, 4, save_every=2, store=tmp_path / "run.zarr")
     with xarray.open_zarr(tmp_path / "run.zarr") as data:
         assert list(data.law.values) == ["viscous", "pd_trace"]
         assert data.extra_works.dims == ("time", "member", "law")

@@ -8,7 +8,7 @@ from free_bodies import moving, turned
 from linearized import there_and_back
 
 import lieint_jax as li
-from lieint_jax import diagnostics, ensemble
+from lieint_jax import diagnostics
 from lieint_jax.schemes import so3_explicit, so3_midpoint
 from lieint_jax.systems import RigidBody
 from lieint_jax.types.tangent import distance
@@ -56,8 +56,8 @@ def test_an_ensemble_prepares_every_member_and_every_inertia():
     states = [moving(*pair) for pair in zip(J, ([0.3, 0.6, 0.8], [1, 0, 0.2]), strict=True)]
     states = jax.tree.map(lambda *x: jnp.array(np.stack(x)), *states)
     bodies = jax.vmap(RigidBody)(J)
-    found = ensemble.run(so3_explicit(bodies), states, 0.2, 100, step_axis=0, progress=False)
-    expected = ensemble.run(so3_midpoint(bodies), states, 0.2, 100, step_axis=0, progress=False)
+    found = li.run(so3_explicit(bodies), states, 0.2, 100, own_step=True, progress=False, save_every=None)
+    expected = li.run(so3_midpoint(bodies), states, 0.2, 100, own_step=True, progress=False, save_every=None)
     assert np.abs(np.asarray(found.state.q) - expected.state.q).max() < 1e-13
 
 

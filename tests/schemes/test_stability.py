@@ -106,17 +106,13 @@ def test_stable_satellites_swing_a_little_and_the_others_turn_over():
 
 
 @li.pytree
-class Wheel:
+class Wheel(torques.Law):
     """T = −Ω × h_r in the body, of a wheel of the momentum h_r: its mean in a step is −κ Ω̄ × h_r."""
 
     rotor: jax.Array
-    frame = "body"
 
-    def __call__(self, t, q, omega):
-        return jnp.cross(self.rotor, omega)
-
-    def mean(self, t, q_n, q_next, h, kappa, omega):
-        return kappa * jnp.cross(self.rotor, omega)
+    def mean(self, rotation, inner):
+        return rotation.kappa * jnp.cross(self.rotor, rotation.Omega), None
 
 
 @pytest.mark.parametrize("kappa", KAPPAS, ids=lambda k: k.name)

@@ -75,7 +75,7 @@ def start(law, works=True):
 def run(step, state, num_steps, dt=0.05):
     """As an ensemble of one: nine laws compile in half of the time that XLA needs."""
     states = jax.tree.map(lambda x: x[None], state._replace(t=None))._replace(t=state.t)
-    ensemble = li.ensemble.run(step, states, dt, num_steps, save_every=1, progress=False)
+    ensemble = li.run(step, states, dt, num_steps, save_every=1, progress=False).trajectory
     path = ensemble._replace(**jax.tree.map(lambda x: x[:, 0], {"state": ensemble.state, "info": ensemble.info}))
     return path, *energies_and_momenta(step.system, path.state)
 

@@ -279,9 +279,9 @@ def secular(lags, J):
 
 
 def alone(step, state, dt, num_steps, save_every):
-    """A run of one member by `ensemble.run`, its leaves without the member axis."""
+    """A run of one member by `li.run`, its leaves without the member axis."""
     states = jax.tree.map(lambda x: x[None], state)._replace(t=state.t)
-    run = li.ensemble.run(step, states, dt, num_steps, save_every=save_every, progress=False)
+    run = li.run(step, states, dt, num_steps, save_every=save_every, progress=False)
     assert run.info.converged.all()
     return jax.tree.map(lambda x: x[:, 0], run.state._replace(t=None))
 

@@ -49,21 +49,18 @@ def push(t, q, omega):
 
 
 @li.pytree
-class WithoutPower:
-    """A law as version 0.2 had them, with a potential, whose power is to be found from its torque."""
+class WithoutWork(torques.Law):
+    """A law with an energy, whose work is that of its torque."""
 
     law: torques.PDTrace
 
     frame = "space"
 
-    def __call__(self, t, q, omega):
-        return self.law(t, q, omega)
+    def mean(self, rotation, inner):
+        return self.law.mean(rotation, inner)
 
-    def mean(self, t, q_n, q_next, h, kappa, omega):
-        return self.law.mean(torques.Rotation(t, 0.0, q_n, q_n, q_next, h, kappa, omega, omega), None)[0]
-
-    def potential(self, q):
-        return self.law.energy(0.0, q, None)
+    def energy(self, t, q, inner):
+        return self.law.energy(t, q, inner)
 
 
 LAWS = {
@@ -71,7 +68,7 @@ LAWS = {
     "push in the body": (push, "body"),
     "viscous": (torques.viscous(D), None),
     "pd_trace": (torques.pd_trace(0.7, 0.2, TARGET), None),
-    "pd_trace without its power": (WithoutPower(torques.pd_trace(0.7, 0.2, TARGET)), None),
+    "pd_trace without its work": (WithoutWork(torques.pd_trace(0.7, 0.2, TARGET)), None),
     "pd_quaternion": (torques.pd_quaternion(0.7, 0.2, TARGET), None),
     "bdot": (torques.bdot(0.2, field), None),
     "kane_damper": (torques.kane_damper(0.4, 0.3), None),
@@ -241,7 +238,7 @@ def test_every_law_balances_energy_and_momentum_at_a_given_root(name):
 @pytest.mark.quick
 def test_the_rate_of_the_work_is_that_of_the_energy():
     """Along the vector field, for a law with and without a potential, a power, and a momentum of its own."""
-    names = ["viscous", "pd_trace without its power", "kane_damper", "internal friction"]
+    names = ["viscous", "pd_trace without its work", "kane_damper", "internal friction"]
 
     @jax.jit
     def both(q, p):

@@ -12,7 +12,7 @@ from scipy.integrate import solve_ivp
 from small_steps import Rests
 
 import lieint_jax as li
-from lieint_jax import diagnostics, ensemble, schemes, systems
+from lieint_jax import diagnostics, schemes, systems
 from lieint_jax.groups import so3
 
 pytestmark = pytest.mark.long
@@ -159,16 +159,16 @@ def test_the_energy_momentum_scheme_conserves_its_invariants_at_any_steps():
 def test_members_of_an_ensemble_have_times_of_their_own(step, dt, tmp_path):
     """The same as one by one, in memory and in a store."""
     states = jax.vmap(lambda t: step.start(START._replace(t=t)))(jnp.array([0.0, 0.05, 0.1]))
-    run = ensemble.run(step, states, dt, 20, save_every=10, progress=False)
+    run = li.run(step, states, dt, 20, save_every=10, progress=False)
     np.testing.assert_allclose(run.t, dt * np.array([0, 10, 20]), rtol=1e-15)
     assert run.state.t.shape == (3, 3)
     for m in range(3):
         alone = li.integrate(step, jax.tree.map(lambda x, m=m: x[m], states), dt, 20, save_every=10)
         np.testing.assert_allclose(run.state.t[:, m], alone.t, rtol=0, atol=1e-14)
         np.testing.assert_allclose(run.state.q[:, m], alone.state.q, rtol=0, atol=1e-14)
-    stored = ensemble.run(step, states, dt, 20, save_every=10, progress=False, store=tmp_path / "run.zarr")
+    stored = li.run(step, states, dt, 20, save_every=10, progress=False, store=tmp_path / "run.zarr")
     jax.tree.map(lambda a, b: np.testing.assert_array_equal(a[...], b), stored.state, run.state)
-    summary = ensemble.run(step, states, dt, 20, save_every=10, progress=False, reduce="energy")
+    summary = li.run(step, states, dt, 20, save_every=10, progress=False, reduce="energy").summary
     np.testing.assert_array_equal(summary.state.t, run.state.t[-1])
 
 

@@ -63,7 +63,7 @@ def test_a_small_wobble_decays_at_the_rate_of_the_closed_form():
     state = body.state(angular_velocity=[0.05, 0.0, Omega])
     states = jax.tree.map(lambda x: x[None], state)._replace(t=state.t)
     n = round(T / dt)
-    run = li.ensemble.run(schemes.additive(body), states, dt, 3 * n, save_every=n, progress=False)
+    run = li.run(schemes.additive(body), states, dt, 3 * n, save_every=n, progress=False)
     assert run.info.converged.all()
     lost = -np.diff(run.state.work[:, 0])  # in three windows, the first with what the start makes tremble
     J1, J3 = 1 + E3, 2.0

@@ -62,7 +62,6 @@ def _find_modules(system: str) -> tuple[list[str], str]:
     if not system:
         return list(modules), ""
     name, _, example = system.partition(".")
-    name = {"pseudo_rigid": "pseudo_rigid_body"}.get(name, name)  # as in version 0.2
     if name in modules and (not example or example in _examples(name)):
         return [name], example
     holders = [x for x in modules if system in _examples(x)]

@@ -135,10 +135,9 @@ def _positive(text: str) -> int:
 
 
 def _run(options: argparse.Namespace) -> None:
-    from lieint_jax import ensemble
     from lieint_jax.app.command import cluster, run
     from lieint_jax.app.command import list as listing
-    from lieint_jax.runs import processes
+    from lieint_jax.runs import part_of_text, processes, want_devices
 
     group = (options.coordinator, options.processes, options.process)
     if not options.distributed and any(x is not None for x in group):
@@ -152,12 +151,12 @@ def _run(options: argparse.Namespace) -> None:
     if options.part is not None:
         if options.distributed:
             raise ValueError("--part is for independent processes, --distributed for processes that start together")
-        part = ensemble.part_of_text(options.part)
+        part = part_of_text(options.part)
     default = options.members is None and options.steps is None and not options.set
     if default and not options.distributed:
         listing.announce(f"run {options.scenario}")
     if options.devices or not options.distributed:
-        ensemble.want_devices(options.devices)
+        want_devices(options.devices)
     if options.distributed:
         where = f" at {options.coordinator}, {options.processes} in all," if options.coordinator else ""
         with _report_waiting(f"waiting for the processes of this run{where} to connect"):
@@ -267,11 +266,11 @@ def _figure(options: argparse.Namespace) -> None:
 
 
 def _study(options: argparse.Namespace) -> None:
-    from lieint_jax import ensemble
     from lieint_jax.app.command import list as listing
     from lieint_jax.app.command import study
+    from lieint_jax.runs import want_devices
 
-    ensemble.want_devices(None)
+    want_devices(None)
     if not options.quick:
         listing.announce(f"study {options.name}")
     study.run(options.name, options.out, options.quick)

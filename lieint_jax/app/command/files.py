@@ -1,4 +1,4 @@
-"""Files of results: NAME.npz holds a finished run, the folder NAME.zarr is a store that grows (`ensemble`)."""
+"""Files of results: NAME.npz holds a finished run, the folder NAME.zarr is a store that grows."""
 
 from __future__ import annotations
 

@@ -233,12 +233,12 @@ def _origin(path: Address, run: Any, metadata: dict[str, Any]) -> list[str]:
         return [f"  {run.state.p.shape[1]} member(s), {len(run.t)} entries; lieint_jax {version}"]
     planned, dt = metadata["num_steps"], metadata["dt"]
     sizes = "between given times" if dt is None else f"of {dt:.6g} {_time_unit(metadata)}".rstrip()
-    entries = metadata.get("num_entries") or planned // metadata["save_every"] + 1
+    entries = metadata["num_entries"]
     more = "; --resume continues it" if "parts" not in metadata else ""
     state = "complete" if progress["complete"] else f"{progress['steps']} of {planned} steps{more}"
     versions = ", ".join(f"{name} {version}" for name, version in metadata["run"]["versions"].items())
     written = metadata["run"]
-    how = "machine code" if written.get("engine") == "native" else f"XLA, {written['compiler_options']}"
+    how = "machine code" if written["engine"] == "native" else f"XLA, {written['compiler_options']}"
     scheme, system, device, versions, how = map(
         _checks.printable, (metadata["scheme"], metadata["system"], written["device"], versions, how)
     )
@@ -254,11 +254,9 @@ def _origin(path: Address, run: Any, metadata: dict[str, Any]) -> list[str]:
 def _machines(metadata: dict[str, Any]) -> list[str]:
     """A line for each kind of machine that has computed parts of a store, where there are several."""
     found: dict[str, list[int]] = {}
-    for part, machine in metadata.get("machines", ()):
+    for part, machine in metadata["machines"]:
         versions = ", ".join(f"{name} {version}" for name, version in machine["versions"].items())
-        found.setdefault(
-            _checks.printable(f"{machine['device']}, {machine.get('engine', 'xla')}, {versions}"), []
-        ).append(part)
+        found.setdefault(_checks.printable(f"{machine['device']}, {machine['engine']}, {versions}"), []).append(part)
     lines = (f"  part {', '.join(map(str, parts))} on {machine}" for machine, parts in found.items())
     return [_checks.printable(line, _LINE) for line in lines] if len(found) > 1 else []
 

@@ -17,8 +17,6 @@ from lieint_jax.runs import store as archives
 from lieint_jax.types.shapes import PyTree
 
 _PACKAGE = __name__.partition(".")[0]
-_OLD: dict[str, dict[str, Any]] = archives.read_toml(Path(__file__).with_name("renamed.toml"), "renamed.toml")
-_RENAMED, _RENAMED_FIELDS = _OLD["names"], _OLD["fields"]
 
 
 def save(path: Path, tree: PyTree, metadata: dict[str, Any]) -> None:
@@ -88,9 +86,7 @@ def _decode(value: Any, arrays: dict[str, np.ndarray], own: ModuleType | None) -
         return value
     if "type" in value:
         found: Any = _find_class(value["type"], own)
-        renamed = _RENAMED_FIELDS.get(f"{found.__module__.rpartition('.')[2]}:{found.__qualname__}", {})
-        fields = {str(name): _decode(x, arrays, own) for name, x in value["fields"].items()}
-        return found(**{renamed.get(name, name): x for name, x in fields.items()})
+        return found(**{str(name): _decode(x, arrays, own) for name, x in value["fields"].items()})
     [(kind, inner)] = value.items()
     if kind == "array":
         return arrays[inner]
@@ -103,8 +99,6 @@ def _decode(value: Any, arrays: dict[str, np.ndarray], own: ModuleType | None) -
 
 def _find_class(name: str, own: ModuleType | None = None) -> Any:
     """The class MODULE:NAME of named tuples, of this package or of `own`: a file must not choose what is imported."""
-    for old, new in _RENAMED.items():
-        name = name.replace(old, new)
     module, _, kind = name.partition(":")
     home = importlib.import_module(module) if module.split(".")[0] == _PACKAGE else None
     if own is not None and module == own.__name__:

@@ -9,7 +9,7 @@ from pathlib import Path
 import jax
 import numpy as np
 
-from lieint_jax import _checks, ensemble, runs
+from lieint_jax import _checks, runs
 from lieint_jax._version import __version__
 from lieint_jax.app import scenarios
 from lieint_jax.app.command import export, files, info
@@ -74,7 +74,7 @@ def run(
     count = parts or (1 if part is None else part[1])
     _check_size(scenario, out, count if makes_own else 1)
     leader = jax.process_index() == 0
-    mesh = ensemble.first_devices(devices)
+    mesh = runs.first_devices(devices)
     if makes_own:
         step, states = scenarios.build_first(scenario, 1), partial(scenarios.states_of, scenario)
     else:
@@ -83,7 +83,7 @@ def run(
     show_time("making the scenario")
     if leader:
         show(info.headline(scenario, step))
-        needed = ensemble.peak_memory(
+        needed = runs.peak_memory(
             scenarios.shapes_of_states(scenario) if makes_own else states,
             _entries(scenario),
             store=out if out.suffix == ".zarr" else None,
@@ -104,7 +104,7 @@ def run(
     in_store = out.suffix == ".zarr"
     if in_store:
         description = {"title": scenario.title, "seed": scenario.seed, "scenario": scenario.model_dump()}
-        integrate = partial(integrate, store=ensemble.StoreOptions(out, description, scenario.time_unit))
+        integrate = partial(integrate, store=runs.StoreOptions(out, description, scenario.time_unit))
     try:
         run = integrate()
     except KeyboardInterrupt as stop:

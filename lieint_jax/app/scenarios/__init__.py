@@ -28,7 +28,6 @@ from lieint_jax.app.scenarios._settings import set_key
 from lieint_jax.runs import store as archives
 from lieint_jax.types import State, Step
 
-_OLD_KEYS = {"angular_velocity": "angular_velocity_rad"}  # of results of version 0.1
 _MESSAGE = 1000  # characters of a message about a key
 _SPREAD = "spread"
 _FOR_PYTHON = "; use jax.vmap for batches"  # advice that does not apply to a file
@@ -174,20 +173,12 @@ def _own_kind(system: Any, name: str) -> type[Kind]:
 
 
 def from_results(table: dict[str, Any], name: str, own_kind: str = "") -> Any:
-    """The scenario of the keys in a file of results; those of version 0.1, which have no units, are renamed.
+    """The scenario of the keys in a file of results.
 
     `own_kind` is its kind, FILE.py:CLASS, if it is a user's: a file of results must not choose what is imported.
     """
-
-    def renamed(tree: Any) -> Any:
-        if isinstance(tree, list):
-            return [renamed(value) for value in tree]
-        if isinstance(tree, dict):
-            return {_OLD_KEYS.get(key, key): renamed(value) for key, value in tree.items()}
-        return tree
-
     if own_kind or table.get("system") in kind_names():
-        return parse(renamed(table) | ({"system": own_kind} if own_kind else {}), name, reads_files=False)
+        return parse(table | ({"system": own_kind} if own_kind else {}), name, reads_files=False)
     raise ValueError(
         f"{name}: the run is of the kind {_quoted(table.get('system'))}, and a file of results does not choose what is "
         "imported: give --kind FILE.py:CLASS if it is yours"

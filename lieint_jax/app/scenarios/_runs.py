@@ -13,8 +13,7 @@ from jax import Array
 from jax.sharding import Mesh
 from jax.tree_util import Partial
 
-from lieint_jax import ensemble
-from lieint_jax.runs import Run, integrate
+from lieint_jax.runs import Run, integrate, over_members
 from lieint_jax.types import State, Step, Trajectory, vectors
 from lieint_jax.types.shapes import PyTree
 
@@ -80,7 +79,7 @@ def as_batch(run: Run) -> Run:
 
 def map_on_local_devices(function: Callable[..., Any], axes: PyTree) -> Callable[..., Any]:
     """Map a function of one member over many, on the devices of this process: only the first process reports."""
-    return ensemble.over_members(function, axes, Mesh(np.array(jax.local_devices()), ("members",)))
+    return over_members(function, axes, Mesh(np.array(jax.local_devices()), ("members",)))
 
 
 def standard_deviation(x: np.ndarray) -> np.ndarray:

@@ -6,7 +6,6 @@ from typing import Annotated, Any, Literal
 
 import jax.numpy as jnp
 import numpy as np
-from pydantic import AliasChoices, Field
 
 from lieint_jax import measure, schemes, systems
 from lieint_jax.app.scenarios._keys import NonNegative, NumberSpread, Order, PositiveFloat, Table, Triple, UnitVector
@@ -51,7 +50,7 @@ class SphericalPendulum(Kind):
     axis: Annotated[UnitVector, DIRECTION] = [0.0, 0.0, -1.0]
     """The direction of gravity in space, a unit vector: downwards."""
     scheme: Literal["sphere_midpoint"] = "sphere_midpoint"
-    normalized: bool = Field(default=False, validation_alias=AliasChoices("normalized", "normalised"))
+    normalized: bool = False
     """Whether the midpoint is projected to the sphere, which makes the scheme symplectic."""
     order: Order = 2
     state: InitialState

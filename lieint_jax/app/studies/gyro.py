@@ -18,8 +18,8 @@ from jax.flatten_util import ravel_pytree
 from matplotlib.figure import Figure
 
 from lieint_jax import plots, schemes
-from lieint_jax.app.studies import inference
-from lieint_jax.fitting import Fit, inertia_ratios
+from lieint_jax.app.studies.inference import table
+from lieint_jax.fitting import Fit, inertia_ratios, inference
 from lieint_jax.fitting.inference import Estimate, Params, Problem, Unknown
 from lieint_jax.runs import integrate
 from lieint_jax.systems import RigidBody
@@ -114,7 +114,7 @@ def text(found: GyroTrials) -> str:
     lines = [
         f"A rate gyro on a tumbling body: {len(x)} synthetic trials of {_READINGS} readings, noise {NOISE} rad/s",
         f"  {int(starts.success.sum())} of {len(x)} fits succeeded; {found.fit.iterations} iterations\n",
-        *inference.table([("", "truth", "mean", "scatter", "reported σ", "within 2σ"), *rows]),
+        *table([("", "truth", "mean", "scatter", "reported σ", "within 2σ"), *rows]),
     ]
     inside = f"{100 * found.inside_ellipsoid:.0f} % of the trials"
     return "\n".join([*lines, f"\n  truth inside the joint 95 % ellipsoid: {inside}"])

@@ -1,7 +1,4 @@
-"""The report and the picture of an inference, and what those of studies share.
-
-The names of its engine, `lieint_jax.fitting.inference`, are offered here too.
-"""
+"""The report and the picture of an inference, and what those of studies share."""
 
 from __future__ import annotations
 
@@ -13,7 +10,6 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from lieint_jax import plots
-from lieint_jax.fitting.inference import *  # noqa: F403  by this path too
 from lieint_jax.fitting.inference import Estimate, Inference, Published, chi_square_point, pull, shares
 
 __all__ = ["draw", "published_lines", "text"]

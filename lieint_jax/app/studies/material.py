@@ -19,7 +19,7 @@ from matplotlib.figure import Figure
 
 from lieint_jax import diagnostics, plots, schemes, systems
 from lieint_jax.adjoints import reversible
-from lieint_jax.app.studies import inference
+from lieint_jax.app.studies.inference import table
 from lieint_jax.fitting import Fit, fit, positive
 from lieint_jax.runs import integrate
 from lieint_jax.systems import PseudoRigidBody
@@ -100,7 +100,7 @@ def text(found: MaterialFit) -> str:
         f"  {found.fit.outcome}",
         f"  the gradient in reverse mode, by undoing steps, is {found.gradient_ratio:.1e} of that at the guess\n",
     ]
-    return "\n".join([*lines, *inference.table([("", "truth", "estimate", "± 1 sigma"), *rows])])
+    return "\n".join([*lines, *table([("", "truth", "estimate", "± 1 sigma"), *rows])])
 
 
 @plots.style()

@@ -22,7 +22,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from lieint_jax import measure, plots
-from lieint_jax.app.studies import _satellite_fit, inference
+from lieint_jax.app.studies import _satellite_fit
 from lieint_jax.app.studies._satellite_fit import (
     HARMONICS,
     QUANTITIES,
@@ -42,7 +42,8 @@ from lieint_jax.app.studies._satellite_sky import (
     scene,
     scene_minima,
 )
-from lieint_jax.fitting import Fit
+from lieint_jax.app.studies.inference import coverage_cells, draw_pulls, table
+from lieint_jax.fitting import Fit, inference
 from lieint_jax.fitting.tumbling import mean_periods, random_guesses
 
 __all__ = ["SatelliteFit", "draw", "run", "scene", "text"]
@@ -163,7 +164,7 @@ def _periods(found: SatelliteFit) -> list[str]:
         f"{HARMONICS}",
         f"  within {width:.4f} per min (by chance {by_chance[0]:.0f} % of all frequencies are as near to one, "
         f"{by_chance[1]:.0f} % to one with even k)",
-        *inference.table(rows, "    "),
+        *table(rows, "    "),
         "  pairs of frequencies of a double Fourier series of order 2, the best first, with their true combinations",
     ]
     for pair, left in list(zip(*s.pairs, strict=True))[:6]:
@@ -220,7 +221,7 @@ def _solutions(found: SatelliteFit) -> list[str]:
         f"and to {len(found.estimate.errors)} synthetic sets: {c:.0f} s",
         "  ends of the starts, by the half turn of the body, which does not change its light; χ² of "
         f"{n} exposures, then of {night}:",
-        *inference.table(rows, "    "),
+        *table(rows, "    "),
         f"  {same:.1f} % of the starts end at the true motion or one of equal light, {some:.1f} % at a named one; "
         f"{100 * first.success.mean():.0f} % of the fits succeeded",
         f"  {sum(not np.isfinite(x.after) for x in named.values())} of the {len(named)} named solutions are not minima "
@@ -234,7 +235,7 @@ def _symmetries(found: SatelliteFit) -> list[str]:
     rows += [(label, *(f"{x:.2g}" for x in row)) for label, row in zip(labels, found.light_changes, strict=True)]
     return [
         "\n  effect of changes in space on the true motion's light, the largest over half turns of the body (mag, rms)",
-        *inference.table(rows, "    "),
+        *table(rows, "    "),
     ]
 
 
@@ -246,15 +247,15 @@ def _estimate(found: SatelliteFit) -> list[str]:
         (name, f"{x:.4f}", f"{s:.4f}", f"{t:.4f}", f"{(x - t) / s:+.2f} σ")
         for name, x, s, t in zip(names, *values, strict=True)
     ]
-    tested = inference.coverage_cells(e.errors)
+    tested = coverage_cells(e.errors)
     rows = [
         ("", "fitted", "± 1σ", "truth", "off", "within 1σ", "2σ", "rms/σ"),
         *((*row, *cells) for row, cells in zip(compared, tested, strict=False)),
-        ("all parameters", *[""] * 4, *inference.coverage_cells(e.errors.reshape(-1, 1))[0]),
+        ("all parameters", *[""] * 4, *coverage_cells(e.errors.reshape(-1, 1))[0]),
         ("expected of each", *[""] * 4, "68%", "95%", "1.00"),
         *compared[8:],
     ]
-    lines = inference.table(rows, "    ")
+    lines = table(rows, "    ")
     by_chance = f"   ± {chance.within_1:.0f} %, {chance.within_2:.0f} %, {chance.rms:.2f} by chance"
     truth = "itself" if np.allclose(e.facet_symmetry, np.eye(3)) else "after a half turn of the body"
     return [
@@ -309,7 +310,7 @@ def draw(found: SatelliteFit) -> Figure:
     for ax, draw_panel in zip(axes.flat, panels, strict=False):
         draw_panel(ax, found)
     e = found.estimate
-    inference.draw_pulls(axes[1, 2], e.errors, (e.value - e.truth) / e.sigma)
+    draw_pulls(axes[1, 2], e.errors, (e.value - e.truth) / e.sigma)
     plots.letter_panels(axes, _TITLES)
     fig.suptitle(f"{found.title}, simulated", fontsize="medium")
     return fig

@@ -26,12 +26,14 @@ from lieint_jax import orbits, plots
 from lieint_jax.app import scenarios
 from lieint_jax.app.scenarios._body import longitude_latitude
 from lieint_jax.app.scenarios.rigid_body import FreeBody
-from lieint_jax.app.studies import _flyby, inference
+from lieint_jax.app.studies import _flyby
 from lieint_jax.app.studies._flyby import Flyby
+from lieint_jax.app.studies.inference import coverage_cells, draw_pulls, published_lines, table
 from lieint_jax.fitting import (
     DEGREES_OF_FREEDOM,
     Fit,
     inertia_ratios,
+    inference,
     member_by_member,
     student_t_noise_error,
     student_t_weights,
@@ -331,7 +333,7 @@ def _residual_table(found: SpinFit) -> list[str]:
     rows.append(("rms", *(cell for kind in rms for cell in kind)))
     return [
         f"\n  {'|calculated − observed|':<31}{'attitude (°)':<38}body rate (°/d)",
-        *inference.table(rows),
+        *table(rows),
         "  * an outlier: with normal errors of the fitted noise, 1 of 100 such tables has a residual as large",
     ]
 
@@ -349,13 +351,13 @@ def _comparison(found: SpinFit) -> list[str]:
     )
     return [
         "",
-        *inference.table(rows),
+        *table(rows),
         "  (angles and rates at 1992-11-09 17:49:47 UTC; right, values of the published states, with the inertia of",
         f"  {found.scenario.source('takahashi')}, and their difference from ours)",
         "  all eight parameters together, at the middle fix: squared distances by the covariance, 8 expected, of Zhao",
         f"  and Takahashi: {beyond}",
         "\n  published values:",
-        *inference.published_lines(QUANTITIES, found.estimate, spin_problem().published),
+        *published_lines(QUANTITIES, found.estimate, spin_problem().published),
     ]
 
 
@@ -372,7 +374,7 @@ def _prediction(found: SpinFit) -> list[str]:
     first, second = (np.interp(angle, p.rms, p.t) for angle in (30, 90))
     return [
         "\n  torque-free prediction of later fixes, by radar and, in 2012, by Chang'e-2: angle from the fix (°)",
-        *inference.table(rows, "    "),
+        *table(rows, "    "),
         f"  {verdict} of the fit's own uncertainty: the members spread by 30° rms after {first:.0f} days,",
         f"  by 90° after {second:.0f}, by {p.rms[-1]:.0f}° at the end (random attitudes: 132°).",
         f"  The direction of the momentum differs from the fitted one by {single:.1f}° rms in single fixes of 1992, by",
@@ -407,11 +409,11 @@ def _coverage(found: SpinFit) -> list[str]:
     sets, chance = len(c.pulls), inference.chance_errors(len(c.pulls))
     rows = [
         ("", "within 1σ", "within 2σ", "rms/σ"),
-        *((label, *cells) for label, cells in zip(labels, inference.coverage_cells(c.pulls), strict=False)),
+        *((label, *cells) for label, cells in zip(labels, coverage_cells(c.pulls), strict=False)),
         ("mean of the parameters", f"{one.mean():.1f}%", f"{two.mean():.1f}%", f"{c.scatter(8)[0]:.2f}"),
         ("expected of each", "68.3%", "95.4%", "1"),
     ]
-    lines = inference.table(rows)
+    lines = table(rows)
     inside = 100 * (c.mahalanobis_squared <= inference.chi_square_point(8)).mean()
     return [
         f"\n  errors: those of the observed information, enlarged by {found.factors[0]:.3f} (noise levels: "
@@ -448,7 +450,7 @@ def draw(found: SpinFit) -> Figure:
     _draw_pair(axes[1, 1], found, 2, "ecliptic longitude (°)", "ecliptic latitude (°)")
     for ax in axes[1, :2]:
         ax.legend(loc="best")
-    inference.draw_pulls(axes[1, 2], found.coverage.pulls[:, :8])
+    draw_pulls(axes[1, 2], found.coverage.pulls[:, :8])
     plots.letter_panels(axes, _TITLES)
     fig.suptitle(found.scenario.title)
     return fig

@@ -12,7 +12,6 @@ from jax import Array
 from jax.typing import ArrayLike
 
 from lieint_jax import _checks
-from lieint_jax._deprecated import warn_of_removal
 from lieint_jax._xla import compiled
 from lieint_jax.runs._adjoints.undo import undoable
 from lieint_jax.runs._march.clock import Clock, GridClock, intervals
@@ -92,18 +91,8 @@ def _saved_states(step: Step, state: State, clock: Clock, num_saves: int, save_e
 class RecursiveCheckpointAdjoint(Adjoint):
     """What `integrate` does without an adjoint: the backward pass computes the steps between about 2√N states again.
 
-    Attributes:
-        levels: of no effect; until 0.5.
-
     Source: blocks of equal length; Griewank & Walther 2000 (revolve) has more levels, for less memory.
     """
-
-    levels: int | None = None
-
-    def __post_init__(self) -> None:
-        if self.levels is not None:
-            _checks.count("levels", self.levels, 1)
-            warn_of_removal("RecursiveCheckpointAdjoint: levels, which has no effect now,")
 
     def check(self, step: Step, clock: Clock) -> None:
         """Every step has this derivative."""

@@ -153,7 +153,7 @@ def transition(
     """The state transition matrix Φ(t) of a run and its sensitivities to parameters, for linear covariance.
 
     They are exact derivatives of the discrete flow, that is, of the states that `integrate` returns, for any system and
-    any step. For many states use jax.vmap, or `li.ensemble.over_members`.
+    any step. For many states use jax.vmap, or `li.over_members`.
 
     Parameters have one of two forms. They are **names** of numbers of the step, `parameters="inertia"`, or several,
     `["inertia", "potential.weight"]`. A name selects all arrays of the step whose path ends with it. These must be

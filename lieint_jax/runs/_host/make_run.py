@@ -174,7 +174,7 @@ def run(
             has it, and starts it otherwise. "auto" is the number of this task in an array: see `part_of_task`. In
             machine code all parts have the bits of one process.
         members: the number of members, where `states` is a function.
-        threads: the number of threads of machine code; by default that of devices in `mesh`, or `ensemble.count_cores`.
+        threads: the number of threads of machine code; by default that of devices in `mesh`, or `li.count_cores`.
         same_bits: refuse to continue a store on another kind of processor or with another JAX, whose last bits may
             differ; False accepts it. Each part records those that have computed it.
         epoch: the date of t = 0 as in `li.dates.epoch`, such as "2026-03-01T12:00:00 UTC"; it changes no number.
@@ -245,7 +245,7 @@ def open_run(
         that a part has not reached, are NaN.
 
     Raises:
-        ValueError: no store, a damaged one (the message lists the files), one of version 0.1, or a name missing in
+        ValueError: no store, a damaged one (the message lists the files), one of another format, or a name missing in
             `own`; a reduced run that is not complete.
 
     Warns:

@@ -104,7 +104,7 @@ def submit(
     The results have the bits of `li.run` in one process. The same call again, after whatever has ended the first,
     computes only what is missing. A worker that stays alive computes one part after another without compiling again, so
     let there be a few times as many parts as workers. Each starts one thread per core that it may use
-    (`ensemble.count_cores`).
+    (`li.count_cores`).
 
     Args:
         step, states, dt, num_steps: as in `li.run`. They are sent to the workers with each part, in the precision of

@@ -72,17 +72,17 @@ class Facts(NamedTuple):
         """Those of the run in the store at `path`, from its attributes."""
         described = attributes["run"]
         return cls(
-            batch=attributes.get("batch", True),
+            batch=attributes["batch"],
             own_step=described["step_axis"] == 0,
             dt=attributes["dt"],
-            num_steps=described.get("num_steps", attributes["num_steps"]),
+            num_steps=described["num_steps"],
             save_every=attributes["save_every"],
-            engine=described.get("engine", "xla"),
+            engine=described["engine"],
             versions=tuple(described["versions"].items()),
             complete=attributes["progress"]["complete"],
             source=path,
-            epoch=described.get("epoch") or "",
-            time_unit=attributes.get("time_unit", "1"),
+            epoch=described["epoch"] or "",
+            time_unit=attributes["time_unit"],
         )
 
 

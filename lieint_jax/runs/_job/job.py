@@ -59,7 +59,7 @@ class MemberSummary(NamedTuple):
         number: the number of values of a member.
         state: the states at the end, (members, …).
         failed: the first step of each member that did not converge, or −1.
-        excess: what rounding has added to the sum, (members,), from which it is continued; None of older stores.
+        excess: what rounding has added to the sum, (members,), from which it is continued.
     """
 
     t: np.ndarray
@@ -73,7 +73,7 @@ class MemberSummary(NamedTuple):
     number: int
     state: State
     failed: np.ndarray
-    excess: np.ndarray | None = None
+    excess: np.ndarray
 
     @property
     def mean(self) -> np.ndarray:
@@ -83,8 +83,7 @@ class MemberSummary(NamedTuple):
     @property
     def change(self) -> Change:
         """The values of the quantity."""
-        excess = np.zeros_like(self.total) if self.excess is None else self.excess
-        return Change(self.least, self.greatest, self.total, excess, self.last, self.first)
+        return Change(self.least, self.greatest, self.total, self.excess, self.last, self.first)
 
 
 class Job(NamedTuple):

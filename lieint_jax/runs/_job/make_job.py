@@ -93,9 +93,7 @@ def make_jobs(
 
 def _check_options(options: dict[str, Any]) -> None:
     """Raise ValueError unless these arguments of `checked_job` fit."""
-    step_axis, reduce, per, first = (options.get(name) for name in ("step_axis", "reduce", "per", "first"))
-    if step_axis not in (None, 0):
-        raise ValueError(f"step_axis must be None (one step for all) or 0 (one per member), got {step_axis!r}")
+    reduce, per, first = (options.get(name) for name in ("reduce", "per", "first"))
     if reduce is not None and reduce != "energy" and not callable(reduce):
         raise ValueError(f'reduce must be None, "energy" or a function (step, state) ↦ scalar, got {reduce!r}')
     if per is None and first is None:

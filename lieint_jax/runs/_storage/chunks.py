@@ -87,18 +87,15 @@ def checksum_of(storage: Storage, file: str, whole: bool) -> int | str:
         return f"unreadable ({error.strerror or error})"
 
 
-def damage_of_chunks(
-    storage: Storage, expected: Mapping[str, int | None], metas: Mapping[str, Table], whole: bool | None = None
-) -> Iterator[str]:
-    """A line for each chunk that is missing, altered or of another place, by the checksums that are known.
+def damage_of_chunks(storage: Storage, expected: Mapping[str, int], metas: Mapping[str, Table]) -> Iterator[str]:
+    """A line for each chunk that is missing, altered or of another place, by the checksums of all.
 
     Of files in a folder all bytes are compared with the checksums at their ends; of objects, for which a request
     transfers four bytes, these ends only.
     """
-    whole = not storage.is_remote if whole is None else whole
-    checksums = in_threads(lambda file: checksum_of(storage, file, whole), expected, storage)
+    checksums = in_threads(lambda file: checksum_of(storage, file, not storage.is_remote), expected, storage)
     for (file, wanted), found in zip(expected.items(), checksums, strict=True):
-        if isinstance(found, str) or wanted not in (None, found):
+        if isinstance(found, str) or found != wanted:
             what = found if isinstance(found, str) else "the chunk of another place or another run"
             yield f"{file} is {what} ({part_of_array(file, metas)})"
 

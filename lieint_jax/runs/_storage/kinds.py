@@ -38,7 +38,7 @@ COUNT = _Kind(lambda x: _is_count(x) and x > 0, "a positive integer")
 _TEXT = _Kind(lambda x: isinstance(x, str), "text")
 _TABLE = _Kind(lambda x: isinstance(x, dict), "a table")
 _TABLES = _Kind(lambda x: isinstance(x, list) and bool(x) and all(map(_TABLE.accepts, x)), "a list of tables")
-_LIST = _Kind(lambda x: isinstance(x, list), "a list", required=False)
+_LIST = _Kind(lambda x: isinstance(x, list), "a list")
 LENGTHS = _Kind(lambda x: isinstance(x, list) and all(map(_is_count, x)), "a list of lengths")
 _TEXT_OR_TABLE = _Kind(lambda x: isinstance(x, str | dict), "text")
 _FLAG = _Kind(lambda x: isinstance(x, bool), "true or false")
@@ -52,34 +52,37 @@ STORE_KEYS = {
     "progress": _TABLE,
     "run": _TABLE,
     "members": COUNT,
-    "batch": _FLAG._replace(required=False),
+    "batch": _FLAG,
     "num_steps": _NATURAL,
-    "num_entries": _NATURAL._replace(required=False),
+    "num_entries": COUNT,
+    "member_chunk": COUNT,
+    "time_chunk": COUNT,
+    "parts": COUNT._replace(required=False),
+    "digests": _TABLE,
     "save_every": _Kind(lambda x: x is None or COUNT.accepts(x), "a positive integer or null"),
     "dt": _Kind(
         lambda x: x is None or (isinstance(x, int | float) and not isinstance(x, bool) and abs(x) < 1e300),
         "a number or null",
     ),
     "reduce": _Kind(lambda x: x is None or isinstance(x, str), "text or null"),
-    "per": _Kind(lambda x: x in (None, "member"), '"member" or null', required=False),
+    "per": _Kind(lambda x: x in (None, "member"), '"member" or null'),
     "scheme": _TEXT,
     "system": _TEXT,
-    "time_unit": _TEXT._replace(required=False),
+    "time_unit": _TEXT,
     "leaves": _LIST,
     "constants": _LIST,
-    "description": _TABLE._replace(required=False),
+    "description": _TABLE,
 }
-NEW_KEYS = dict.fromkeys(("num_entries", "member_chunk", "time_chunk"), COUNT)
-NEW_KEYS |= {"digests": _TABLE, "parts": COUNT._replace(required=False)}
 PROGRESS_KEYS = dict.fromkeys(("commits", "entries", "steps"), _NATURAL) | {"complete": _FLAG}
 ARRAY_KEYS = {"shape": LENGTHS, "data_type": _TEXT_OR_TABLE, "codecs": _TABLES, "node_type": _TEXT}
 RUN_KEYS = {
     "versions": _Kind(lambda x: isinstance(x, dict) and all(map(_TEXT.accepts, x.values())), "a table of text"),
     "device": _TEXT,
     "step_axis": _Kind(lambda x: x is None or (_is_count(x) and x == 0), "null or 0"),
-    "engine": _TEXT._replace(required=False),
-    "epoch": _Kind(_is_date, "a date with a scale, or null", required=False),
+    "engine": _TEXT,
+    "epoch": _Kind(_is_date, "a date with a scale, or null"),
     "compiler_options": _TABLE,
+    "num_steps": _NATURAL,
 }
 
 

@@ -23,9 +23,8 @@ def shared_time(times: np.ndarray, members: int) -> np.ndarray:
 
 def states_in(arrays: Any, times: np.ndarray, metadata: Table) -> State:
     """The states among the arrays of a store, whose attributes list them. A shared time has no array of its own."""
-    leaves = metadata.get("leaves", ["q", "p"])
+    leaves = metadata["leaves"]
     found = {name: arrays[store_name(name)] for name in leaves if store_name(name) in arrays}
-    found |= {name: arrays[name] for name in leaves if name in arrays}  # the names in stores of version 0.2
     if "t" in leaves and "t" not in found:
         found["t"] = shared_time(times, metadata["members"])
     return state_from_leaves(found)

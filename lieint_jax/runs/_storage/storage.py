@@ -16,6 +16,8 @@ from pathlib import Path, PurePosixPath
 from typing import Any, NamedTuple
 from urllib.parse import urlsplit
 
+from lieint_jax.types.record import record
+
 _SCHEMES = ("s3", "gs", "az", "memory")
 
 
@@ -59,6 +61,7 @@ def address(text: str | Path) -> Address:
     return Url(text.rstrip("/"))
 
 
+@record
 class StoreOptions(NamedTuple):
     """The path of a store, and attributes that are written with the results.
 

@@ -9,7 +9,7 @@ from lieint_jax.runs._storage.open_archive import open_archive, write_archive, w
 from lieint_jax.runs._storage.storage import Address, StoreOptions, Url, address
 from lieint_jax.runs._storage.untrusted import SUFFIXES, UnreadableError, parse_toml, read_toml, wrap_errors
 from lieint_jax.runs.store._description import UnknownNameError
-from lieint_jax.runs.store._reading import check_system, load_results, load_store, open_run, step_from_store
+from lieint_jax.runs.store._reading import check_system, load_results, load_store, step_from_store
 
 __all__ = [
     "SUFFIXES",
@@ -23,7 +23,6 @@ __all__ = [
     "load_results",
     "load_store",
     "open_archive",
-    "open_run",
     "open_storage",
     "parse_toml",
     "read_toml",

@@ -9,7 +9,7 @@ from __future__ import annotations
 import dataclasses
 import importlib
 import math
-from collections.abc import Callable, Iterator, Mapping, Set
+from collections.abc import Callable, Mapping, Set
 from types import ModuleType
 from typing import Any
 
@@ -21,22 +21,6 @@ from lieint_jax.runs._storage.leaves import store_name
 from lieint_jax.types import Partitioned, Step, callable_pytree, from_fields
 
 _PACKAGE = __name__.partition(".")[0]
-_DRIFTS = f"{_PACKAGE}.schemes._shared.default_drift"
-_MOVED = {  # since 0.3.0
-    f"{_PACKAGE}.torques._older.OlderLaw": f"{_PACKAGE}.systems._shared.older_laws.OlderLaw",
-    f"{_PACKAGE}.schemes._shared.bi_invariant.OneParameterSubgroup": f"{_DRIFTS}.OneParameterSubgroup",
-    f"{_PACKAGE}.schemes._shared.se3_free_body.FreeMotion": f"{_DRIFTS}.FreeMotion",
-    "jax.numpy.ones_like": f"{_PACKAGE}.maps._cayley",
-}
-_RENAMED = {  # since version 0.2 or 0.3.0
-    "Linear": "LinearPotential",
-    "ManyFreeBodies": "FreeBodies",
-    "Quadratic": "QuadraticPotential",
-    "SpinUp": "SpinUpMotor",
-    "Sum": "SumPotential",
-    "Total": "LawSum",
-    "Uniform": "UniformGravity",
-}
 
 
 class UnknownNameError(ValueError):
@@ -62,8 +46,7 @@ def make(description: object, arrays: Mapping[str, object], own: Mapping[str, ob
     if not isinstance(description, Mapping):
         return description
     [(kind, value)] = list(description.items())[:1]
-    parts = _present_fields(description.get("fields", {}))
-    inner = {name: make(part, arrays, own, system) for name, part in parts.items()}
+    inner = {name: make(part, arrays, own, system) for name, part in description.get("fields", {}).items()}
     makers: dict[str, Callable[[], object]] = {
         "array": lambda: np.asarray(arrays[value]),
         "constant": lambda: np.array(value, description["dtype"]),
@@ -79,20 +62,6 @@ def make(description: object, arrays: Mapping[str, object], own: Mapping[str, ob
         "class": lambda: _instance(_find_object(value, own), inner),
     }
     return makers[kind]()
-
-
-def _present_fields(stored: Mapping[str, Any]) -> Mapping[str, Any]:
-    """The fields of a class, also by the names that they have since version 0.4."""
-    match stored:
-        case {"plates": {"fields": plates}, **rest}:  # of `torques.SolarPlates` and `Aerodynamic`
-            return {**rest, **plates, "force": plates["sizes"], "areas": plates["sizes"]}
-        case {"cylinder": bool(cylinder)}:  # of `orbits.Eclipse`
-            return {**stored, "shadow": "cylindrical" if cylinder else "conical"}
-        case {"scale_height": _, "distance": distance}:  # of `orbits.Air`
-            return {**stored, "height": distance, "radius": 0.0}
-        case {"velocity": _, "start": start}:  # of `orbits.KeplerFromState`
-            return {**stored, "t": start}
-    return stored
 
 
 def _describe(x: object, path: str, arrays: dict[str, np.ndarray] | None, system: object) -> object:
@@ -154,25 +123,11 @@ def _find_object(name: str, own: Mapping[str, object]) -> Any:
     """The object of a name: one of `own`, or one of this package."""
     if name in own:
         return own[name]
-    for candidate in (name, *_present_names(name)):
-        module, _, attribute = candidate.rpartition(".")
-        found = _import_own(candidate) or getattr(_import_own(module), attribute, None)
-        if found is not None and _is_ours(found):
-            return found
-    raise UnknownNameError(f"{name!r} does not belong to this package: pass it as own={{{name!r}: …}} to li.open")
-
-
-def _present_names(name: str) -> Iterator[str]:
-    """The names that an object may have now which version 0.2 or 0.3.0 stored under this name."""
-    if name in _MOVED:
-        yield _MOVED[name]
     module, _, attribute = name.rpartition(".")
-    attribute = _RENAMED.get(attribute, attribute)
-    room, _, file = module.rpartition(".")
-    yield f"{module}.{attribute}"
-    yield f"{room}._{file}.{attribute}"
-    yield f"{room}._shared.{file.lstrip('_')}.{attribute}"
-    yield f"{_PACKAGE}.app{module.removeprefix(_PACKAGE)}.{attribute}"
+    found = _import_own(name) or getattr(_import_own(module), attribute, None)
+    if found is not None and _is_ours(found):
+        return found
+    raise UnknownNameError(f"{name!r} does not belong to this package: pass it as own={{{name!r}: …}} to li.open")
 
 
 def _is_ours(x: object) -> bool:
@@ -192,6 +147,12 @@ def _import_own(name: str) -> ModuleType | None:
 
 
 def _instance(cls: type, fields: Mapping[str, object]) -> Any:
-    """An instance of a dataclass with these fields, without the checks of its constructor, which they have passed."""
-    known = {field.name for field in dataclasses.fields(cls)} & fields.keys()  # version 0.2 had others too
-    return from_fields(cls, **{name: fields[name] for name in known})
+    """An instance of a dataclass with these fields, without the checks of its constructor, which they have passed.
+
+    Raises:
+        ValueError: it has other fields: a file must not replace its methods.
+    """
+    names = {field.name for field in dataclasses.fields(cls)}
+    if different := sorted(names ^ fields.keys()):
+        raise ValueError(f"its {cls.__name__} has other fields than that of this package: {', '.join(different)}")
+    return from_fields(cls, **fields)

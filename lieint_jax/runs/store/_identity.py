@@ -24,7 +24,6 @@ from lieint_jax.runs._job.loop import compiler_options
 from lieint_jax.runs._march.clock import GridClock
 from lieint_jax.runs._storage.leaves import Table
 from lieint_jax.runs._storage.storage import Address
-from lieint_jax.runs.store._root import FORMAT
 
 _MACHINE = ("device", "engine", "compiler_options", "XLA_FLAGS")  # keys of a description, besides the versions
 _EQUATIONS = ("equations of the step", "equations of reduce", "equations of first", "states that the function makes")
@@ -100,11 +99,6 @@ def check_same(path: Address, stored: Table, now: Table, same_bits: bool = True)
 
     With `same_bits=False` it may have been computed on another machine.
     """
-    if stored["format"] < FORMAT:
-        raise ValueError(
-            f"{path} was written by an older version of lieint_jax, whose runs this one cannot continue bit for bit: "
-            "`lieint info` and `lieint plot` read its results; run again into another store"
-        )
     run = stored["run"]
     for key, reason in (_not_comparable(run) | _not_comparable(now)).items():
         raise ValueError(f"{path} can neither be resumed nor be written in parts: the {key} {reason}")

@@ -103,19 +103,17 @@ def _is_created(storage: Storage, files: dict[str, bytes], in_parts: bool) -> bo
 def _root_of(storage: Storage, described: Table | None, split: Split, in_parts: bool, same_bits: bool) -> Root:
     """The root of a store, if it is that of the run described and in these parts; None: this run has just made it."""
     found = (described_root if described is None or in_parts else check_store)(storage.address)
-    attributes = found.attributes if isinstance(found, Root) else found["attributes"]
-    count = attributes.get("parts", 1)
-    if "parts" in attributes and not in_parts:
+    count = found.split.parts
+    if found.in_parts and not in_parts:
         raise ValueError(
             f"{storage.address} is written in {count} part(s): pass part=(k, {count}), or choose another store"
         )
-    if "parts" not in attributes and in_parts:
+    if in_parts and not found.in_parts:
         raise ValueError(f"{storage.address} was not written in parts; choose another store")
     if described is not None:
-        _identity.check_same(storage.address, attributes, described, same_bits)
+        _identity.check_same(storage.address, found.attributes, described, same_bits)
     if count != split.parts:
         raise ValueError(f"{storage.address} is written in {count} part(s), not in {split.parts}")
-    assert isinstance(found, Root)
     return found
 
 

@@ -20,7 +20,6 @@ from lieint_jax.runs._storage.kinds import (
     COUNTS,
     LENGTHS,
     NAME,
-    NEW_KEYS,
     PROGRESS_KEYS,
     REALS,
     RUN_KEYS,
@@ -32,16 +31,15 @@ from lieint_jax.runs._storage.kinds import (
 from lieint_jax.runs._storage.leaves import Table, store_name
 from lieint_jax.runs._storage.storage import Address
 from lieint_jax.runs._storage.untrusted import JSON_BYTES, UnreadableError, parse_json, refuse_special, wrap_errors
-from lieint_jax.runs.store import _legacy
 from lieint_jax.runs.store._root import Root, read_root
 
 _CHUNK_BYTES = 2**30
 _MAX_PARTS, _MOST_FILES = 10**6, 10**12
-_OF_MEMBERS = ("least", "greatest", "total", "last")
+_OF_MEMBERS = ("least", "greatest", "total", "excess", "last")
 
 
-def check_store(path: Address) -> Root | Table:
-    """Check the files of the store at `path`, and return its root; of a store of an older version its metadata.
+def check_store(path: Address) -> Root:
+    """Check the files of the store at `path`, and return its root.
 
     Of a run in parts only the description is checked: `_published.load` checks its parts one by one.
 
@@ -51,9 +49,7 @@ def check_store(path: Address) -> Root | Table:
     """
     root = described_root(path)
     with wrap_errors(path):
-        if not isinstance(root, Root):
-            lost = list(_legacy.damage(open_storage(path), root))
-        elif not root.in_parts:
+        if not root.in_parts:
             lost = list(root.damage())
         elif lost := list(root.damage_of_root()):
             if not root.storage.sizes("parts"):  # a bucket gets the root first, and results after all other files
@@ -66,8 +62,8 @@ def check_store(path: Address) -> Root | Table:
     return root
 
 
-def described_root(path: Address) -> Root | Table:
-    """The root of the store at `path`, whose description is checked; of an older version its metadata."""
+def described_root(path: Address) -> Root:
+    """The root of the store at `path`, whose description is checked."""
     storage = open_storage(path)
     if isinstance(path, Path):
         refuse_special(path)
@@ -90,13 +86,11 @@ def described_root(path: Address) -> Root | Table:
         raise UnreadableError(f"{path} is a copy of a store that was written on a disk: copy it to a disk to read it")
     with wrap_errors(path):
         shown = _check_arrays(root["consolidated_metadata"]["metadata"], None if in_parts else count)
-        legacy = not in_parts and attributes["format"] <= _legacy.LAST
-        if not legacy:
-            check_table("the description", attributes, NEW_KEYS)
-        if in_parts and not 0 < attributes["parts"] <= min(attributes["members"], _MAX_PARTS):
+        check_table("the description", attributes, STORE_KEYS)
+        if in_parts and attributes["parts"] > min(attributes["members"], _MAX_PARTS):
             raise ValueError(f"it has {attributes['parts']} parts of {attributes['members']} members")
         _check_attributes(attributes, shown)
-        return root if legacy else Root(storage, root)
+        return Root(storage, root)
 
 
 def _check_files(path: Path) -> int:
@@ -148,22 +142,21 @@ def _check_arrays(shown: Any, files: int | None) -> Table:
 
 def _check_attributes(found: Table, shown: Mapping[str, Table]) -> None:
     """Raise ValueError unless the attributes of a store describe a run with these arrays."""
-    check_table("the description", found, STORE_KEYS)
     check_table("progress", found["progress"], PROGRESS_KEYS)
     check_table("run", found["run"], RUN_KEYS)
-    leaves, constants = found.get("leaves", ["q", "p"]), found.get("constants", [])
+    leaves, constants = found["leaves"], found["constants"]
     bad = [name for name in (*leaves, *constants) if not (isinstance(name, str) and NAME.fullmatch(name))]
     if bad:
         raise ValueError(f"{bad[0]!r} is not the name of an array")
     kinds = {name: (tuple(array["shape"]), str(array["data_type"])) for name, array in shown.items()}
-    leaves = [name if name in kinds else store_name(name) for name in leaves]  # format 2 has the names of states
+    leaves = [store_name(name) for name in leaves]
     missing = set(constants) - set(kinds)
     if missing:
         raise ValueError(f"it has no array {min(missing)}")
     in_parts = "parts" in found
     entries, members = found["num_entries"] if in_parts else found["progress"]["entries"], found["members"]
     if found["reduce"] is not None:
-        of_members = _OF_MEMBERS if found.get("per") else ()
+        of_members = _OF_MEMBERS if found["per"] else ()
         names = {*(SERIES[3:] if of_members else SERIES), "time"}
         if not names <= set(kinds):
             raise ValueError(f"it has no array {min(names - set(kinds))}")
@@ -172,9 +165,8 @@ def _check_attributes(found: Table, shown: Mapping[str, Table]) -> None:
             expect(name, kinds, COUNTS if name == "unconverged" else REALS, shape)
         if found.get("parts", 1) > 1 and not of_members and kinds["sums"][0][:2] != (found["parts"], entries):
             raise ValueError("it has no sums of its parts")
-        if found["progress"]["complete"] or found["format"] > _legacy.LAST:
-            for name in {*leaves, "first_failure", *of_members} - ({"t"} - set(kinds)):
-                expect(name, kinds, COUNTS if name == "first_failure" else REALS, (members,), least=1)
+        for name in {*leaves, "first_failure", *of_members} - ({"t"} - set(kinds)):
+            expect(name, kinds, COUNTS if name == "first_failure" else REALS, (members,), least=1)
         return
     check_run(kinds, set(leaves) - ({"t"} - set(kinds)), "time")
     if kinds["p"][0][:2] != (entries, members):

@@ -18,9 +18,9 @@ from lieint_jax.runs._storage.disk import Disk
 from lieint_jax.runs._storage.files import open_storage, open_zarr
 from lieint_jax.runs._storage.leaves import Saves, Table, states_in
 from lieint_jax.runs._storage.open_archive import open_archive, read_trajectory
-from lieint_jax.runs._storage.storage import Address, Url, address
+from lieint_jax.runs._storage.storage import Address, Url
 from lieint_jax.runs._storage.untrusted import wrap_errors
-from lieint_jax.runs.store import _legacy, _published
+from lieint_jax.runs.store import _published
 from lieint_jax.runs.store._description import UnknownNameError, make
 from lieint_jax.runs.store._open_store import check_store
 from lieint_jax.runs.store._published import PublishedArray
@@ -30,42 +30,8 @@ from lieint_jax.types import Step, System, Trajectory, pytree, static
 _T = TypeVar("_T")
 
 
-def open_run(path: str | Path, own: Mapping[str, object] | None = None) -> tuple[Any, System]:
-    """Open the run in a store, and rebuild its system, for energies and all other quantities.
-
-    Args:
-        path: a folder NAME.zarr, or a URL such as s3://bucket/NAME.zarr, that `ensemble.run` or `lieint run` has
-            written or is writing.
-        own: classes and functions of the system from outside this package, such as a custom potential, by their names
-            in the store. If one is missing, the error message contains its name.
-
-    Returns:
-        The result of `ensemble.run` so far: a `Trajectory` of arrays on disk, which are read when they are indexed, or
-        a `Summary`; and the system with the numbers in the store. With `step_axis=0` they have the member axis. In a
-        store in parts, members of a missing or damaged part, and entries that a part has not reached, are NaN.
-
-    Raises:
-        ValueError: no store, a damaged one (the message lists the files), one of version 0.1, or a name missing in
-            `own`.
-
-    Warns:
-        RuntimeWarning: parts that are missing, damaged or incomplete, by number. Objects in a bucket are not read for
-            this: a damaged one raises an error when it is read, and `lieint info` checks each.
-
-    Example: the energies of all members at the end.
-
-        run, system = li.ensemble.open("run.zarr")
-        energies = jax.vmap(system.energy)(jax.tree.map(lambda x: x[-1], run.state))
-    """
-    path = address(path)
-    stored = read_run(path)
-    system = system_from_store(path, stored.attributes, own)
-    _check_states(path, system, stored)
-    return stored.found, system
-
-
 def open_with_step(path: Address, own: Mapping[str, object] | None = None) -> tuple[Saves, Step]:
-    """The run in a store and its step; arguments and errors as in `open_run`."""
+    """The run in a store and its step; arguments and errors as in `li.open`."""
     stored = read_run(path)
     system = system_from_store(path, stored.attributes, own)
     step = _from_store(path, stored.attributes, "step", Step, own, system)
@@ -122,10 +88,7 @@ def load_store(path: Address, thorough: bool | None = None) -> tuple[Any, Table]
 def _load(path: Address, thorough: bool | None = None) -> Saves:
     root = check_store(path)
     with wrap_errors(path):
-        if isinstance(root, Root):
-            return _published.load(root, not root.storage.is_remote if thorough is None else thorough)
-        assert isinstance(path, Path)
-        return _legacy.load(path, root["attributes"])
+        return _published.load(root, not root.storage.is_remote if thorough is None else thorough)
 
 
 def read_part(root: Root, k: int, progress: Table) -> Saves:
@@ -198,7 +161,7 @@ def _as_stored(loaded: Saves) -> Saves:
         failed = _failures(found, attributes["save_every"]) if failed is None else failed
         return Saves(found, failed, attributes)
     state, failed = states_in(found, found["time"][-1], attributes), found["first_failure"]
-    if attributes.get("per") is not None:
+    if attributes["per"] is not None:
         values: dict[str, Any] = {name: found.get(name) for name in (*Change._fields, "residual", "unconverged")}
         number = attributes["num_steps"] + 1
         return Saves(

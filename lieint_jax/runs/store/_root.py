@@ -40,7 +40,7 @@ from lieint_jax.runs._storage.leaves import Table
 from lieint_jax.runs._storage.storage import Storage
 from lieint_jax.runs._storage.untrusted import parse_json
 
-FORMAT = 7  # the format number of new stores; 0.2 wrote 2, 0.3.0 wrote 3, or 4 in parts, and 0.4.0 wrote 6
+FORMAT = 7  # the number of the format of stores, the only one that is read
 ROOT = "zarr.json"  # the metadata of a Zarr 3 group
 ROWS, ENDS = "checksums of rows", "checksums of the end"  # arrays of a state
 CARRY = "checkpoint/"  # begins the names of its other arrays
@@ -106,7 +106,7 @@ def decode_state(data: bytes, place: Table) -> PartState:
         size = math.prod(shape) * dtype.itemsize
         arrays[name] = np.frombuffer(content[begin : begin + size], dtype).reshape(shape)
         begin += size
-    return PartState(header["progress"], arrays, header["initial states"], tuple(header.get("machines", ())))
+    return PartState(header["progress"], arrays, header["initial states"], tuple(header["machines"]))
 
 
 class Root:
@@ -323,12 +323,11 @@ def read_root(storage: Storage) -> Table | None:
     attributes = root.get("attributes") if isinstance(root, dict) else None
     if not isinstance(attributes, dict) or "progress" not in attributes:
         raise ValueError(f"{path} is a Zarr group, but was not written by lieint")
-    if "format" not in attributes:
-        raise ValueError(f"{path} was written by version 0.1: only its states can be read, by xarray.open_zarr")
-    if attributes["format"] > FORMAT:
+    if (written := attributes.get("format", 1)) != FORMAT:
         raise ValueError(
-            f"{path} has format {attributes['format']}; this lieint_jax reads formats up to {FORMAT}: use a newer one"
+            f"{path} has format {written}, that of {'an older' if written < FORMAT else 'a newer'} lieint_jax; this "
+            f"one reads format {FORMAT} only: use that one, or read the arrays by xarray.open_zarr"
         )
-    if "checksum" in attributes and attributes["checksum"] != checksum(root):
+    if attributes.get("checksum") != checksum(root):
         raise ValueError(f"{path}/{ROOT} is damaged: its checksum is wrong. The arrays next to it can still be read")
     return root

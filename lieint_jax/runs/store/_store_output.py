@@ -56,7 +56,6 @@ class StoreOutput:
         info = StepInfo(found["residual"], found["converged"])
         state = state_from_leaves({name: found[name] for name in leaves_by_name(self._job.states)})
         names = self._job.change_names
-        found.setdefault("excess", np.zeros_like(found["residual"]))  # which older stores do not have
         carry = Carry(state, info, found["failed"], Change(**{name: found[name] for name in names}) if names else None)
         return devices.placed(self._layout, carry, first=part.start), done["steps"], done["entries"] - 1
 
@@ -133,7 +132,7 @@ class StoreOutput:
         host = {name: devices.local_part(layout, x) for name, x in _leaves_of_carry(carry).items()}
         kept = {"first_failure": host["failed"]}
         if self._job.reduction is not None:
-            names = filter(self._writer.has_array, self._job.change_names if self._job.per_member else ())
+            names = self._job.change_names if self._job.per_member else ()
             kept |= {name: host[name] for name in (*leaves_by_name(self._job.states), *names)}
             if self._job.own_times:
                 kept["t"] = self._own_times(slice(-1, None), members)[0]

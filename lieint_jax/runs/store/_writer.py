@@ -198,10 +198,6 @@ class Writer:
         """The state of the published run: its commits, entries along time, steps, and whether it is complete."""
         return self._state.progress
 
-    def has_array(self, name: str) -> bool:
-        """Whether the store has an array of this name: it may have been begun by a version that did not write it."""
-        return name in self._root.metas
-
     def carry(self, members: range) -> dict[str, np.ndarray]:
         """The arrays of the published carry by name, for these of the part's members."""
         own = slice(members.start, members.stop)
