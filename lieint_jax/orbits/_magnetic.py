@@ -215,6 +215,6 @@ def _table() -> np.ndarray:
 
 def examples() -> Calls:
     """Calls of these functions with all their numbers."""
-    orbit, more = kepler(1.3, 1.2, 0.1, 0.7), {"radius": 0.8, "rate": 0.06, "degree": 1}
+    orbit, more = kepler(1.3, 1.2, 0.1, 0.7), {"radius": 0.8, "rate": 0.06, "degree": 1, "frame": "GCRF"}
     dipole, date = jnp.array([0.1, 0.2, -0.9]), jnp.array(2460676.5)
     return {"earth_field": partial(earth_field, orbit=orbit, date=date, coefficients=dipole, **more)}

@@ -237,6 +237,12 @@ def as_law(law: Any, frame: str = "body") -> Law:
             "torque must be a function of (t, q, omega) with a value of shape (3,), a law, or a sum of laws, such as "
             f"a + b or torques.total([a, b]), got {law!r}"
         )
+    more = [name for name in ("potential", "power", "mean", "during", "energy") if hasattr(law, name)]
+    if more:  # which a function would drop
+        raise ValueError(
+            f"a function (t, q, omega) has no {' and no '.join(more)}, as {type(law).__name__} has: a law with more than "
+            "a value inherits li.torques.Law and defines `mean` and `energy`; a potential alone is li.torques.potential"
+        )
     return Function(callable_pytree(law), getattr(law, "frame", frame))
 
 

@@ -53,7 +53,7 @@ def test_a_store_of_an_own_kind_opens_without_it(folder, lieint):
         out = lieint("plot", "top.zarr", "--force")
         assert "--kind top.py:SleepingTop draws and reports as its own kind does" in out
         assert ("(top.py:SleepingTop is not here: give the place of its file)" in out) is gone
-        assert "written: top-invariants.png, top-invariants.pdf, top-motion.png" in out
+        assert "written: top-errors.png, top-errors.pdf, top-motion.png" in out
 
 
 @pytest.mark.long

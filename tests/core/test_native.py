@@ -509,13 +509,13 @@ def test_machine_code_that_differs_from_xla_is_refused(monkeypatch, caplog, redu
     quantity = (lambda step, state: jnp.cos(state.p[0])) if reduce else None
     with monkeypatch.context() as patch:
         patch.setitem(ELEMENTWISE, "cos", lambda walk, x, dtype: walk.number("mul", x[0], x[0]))
-        runs = [li.run(step, states, 0.1, n, reduce=quantity, progress=False, save_every=None).summary for n in (1, 2)]
+        runs = [li.run(step, states, 0.1, n, reduce=quantity, progress=False, save_every=None) for n in (1, 2)]
     [message] = [record.getMessage() for record in caplog.records if record.name.startswith("lieint_jax")]
     assert message.startswith(f"XLA runs {step.name}, which is slower than machine code: in machine code a first step")
     expected = jax.jit(jax.vmap(lambda z: step(z, 0.1)[0]))(states)
     if reduce:
         change = np.cos(expected.p[:, 0]) - np.cos(states.p[:, 0])
-        np.testing.assert_allclose(runs[0].mean[-1], change.mean(), rtol=1e-13)
+        np.testing.assert_allclose(runs[0].summary.mean[-1], change.mean(), rtol=1e-13)
     else:
         np.testing.assert_allclose(runs[0].state.p[-1], expected.p, rtol=1e-14)
 

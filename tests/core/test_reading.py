@@ -134,11 +134,11 @@ def test_any_run_of_a_known_system_is_drawn_and_drawn_again(tmp_path, lieint):
     path, _ = stored(tmp_path)
     (tmp_path / "pictures").mkdir()
     assert "3 of 3 members converged at every step" in lieint("plot", str(path), "--out", str(tmp_path / "pictures"))
-    picture = tmp_path / "pictures" / "run-invariants.png"
+    picture = tmp_path / "pictures" / "run-errors.png"
     assert picture.read_bytes().startswith(b"\x89PNG")
     assert (tmp_path / "pictures" / "run-motion.png").exists()
     picture.write_text("precious")
-    assert "run-invariants.png exists and is not overwritten; --force" in lieint.refuse(
+    assert "run-errors.png exists and is not overwritten; --force" in lieint.refuse(
         "plot", str(path), "--out", str(tmp_path / "pictures")
     )
     assert picture.read_text() == "precious"

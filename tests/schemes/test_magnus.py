@@ -339,4 +339,4 @@ def test_what_has_no_energy_shows_none(tmp_path, monkeypatch, capsys, lieint):
     assert "2 of 2 members converged at every step" in found
     assert "largest change" not in found
     lieint.drew("run-motion.png")
-    assert not list(tmp_path.glob("run-invariants.*"))
+    assert not list(tmp_path.glob("run-errors.*"))

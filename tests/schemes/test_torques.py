@@ -508,7 +508,9 @@ def test_derivatives_forward_reverse_by_reversal_and_by_differences(name):
 
 
 @pytest.mark.quick
-def test_a_law_with_more_than_a_value_must_be_a_pytree():
+def test_a_law_with_more_than_a_value_must_inherit_from_law():
+    """A potential that nobody asks for would be missing in the energy, without a sign."""
+
     class Spring:
         def __call__(self, t, q, omega):
             return -q[1:]
@@ -516,9 +518,12 @@ def test_a_law_with_more_than_a_value_must_be_a_pytree():
         def potential(self, q):
             return 2 * (1 - q[0])
 
-    with pytest.raises(ValueError, match=r"a torque with potential must be a pytree: decorate Spring with @li\.pytree"):
-        torqued_body(J, Spring())
-    torqued_body(J, li.pytree(Spring)())
+    for law in (Spring(), li.pytree(Spring)(), li.torques.viscous(0.1) + li.torques.viscous(0.2)):
+        if isinstance(law, li.torques.Law):
+            torqued_body(J, law)
+            continue
+        with pytest.raises(ValueError, match=r"has no potential, as Spring has: .* inherits li\.torques\.Law"):
+            torqued_body(J, law)
 
 
 def until(x, t, q, omega):
