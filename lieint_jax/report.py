@@ -60,7 +60,7 @@ class Row(NamedTuple):
     name: str
     values: Any
     published: Published | Sequence[Published] = ()
-    closed_form: float | None = None
+    closed_form: Any = None
     digits: str = ".4f"
     angle: bool = False
 
@@ -93,7 +93,7 @@ class Change(NamedTuple):
     """
 
     name: str
-    values: np.ndarray
+    values: Any
     size: Any = 1.0
     promise: str = ""
 

@@ -6,6 +6,7 @@ km and s for the orbit, kg m² for the inertia (another unit of inertia gives th
 """
 
 from pathlib import Path
+from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -112,9 +113,9 @@ def draw_pointing(run, orbit):
     left, period = fig.add_subplot(1, 2, 1, projection="3d"), 2 * np.pi / float(orbit.mean_motion)
     t = np.linspace(0.0, run.t[-1], 4000)
     path, end = boom(orbit, t, run.member(0).at(t).q), np.full(len(run.failed), run.t[-1])
-    look = {"unit": "orbits", "pole_label": "vertical", "angle_label": "angle from the vertical (°)"}
     ends, eye = boom(orbit, end, run.state.q[-1]), np.array([1.0, 0.6, 0.4])
-    li.plots.on_sphere((left, axes[1]), t / period, path, end[0] / period, ends, np.eye(3)[0], eye=eye, **look)
+    look: dict[str, Any] = {"pole_label": "vertical", "angle_label": "angle from the vertical (°)", "eye": eye}
+    li.plots.on_sphere((left, axes[1]), t / period, path, end[0] / period, ends, np.eye(3)[0], unit="orbits", **look)
     left.set_title("the boom in the orbit's axes, nominal member")
     fig.suptitle(TITLE)
     return fig

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import operator
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import partial
@@ -46,7 +45,7 @@ class SharedFunction:
     function: _Constant = static()
 
     def __call__(self, t: ArrayLike) -> Any:
-        return _call(self.function, operator.call, t)
+        return _call(self.function, _value_at, t)
 
     @property
     def frame(self) -> str:
@@ -71,6 +70,10 @@ class SharedFrame(SharedFunction):
 @partial(rereading_jit, static_argnums=(0, 1))
 def _call(function: _Constant, ask: Callable[[Any, ArrayLike], Any], t: ArrayLike) -> Any:
     return ask(function.value, t)
+
+
+def _value_at(function: Callable[[ArrayLike], Any], t: ArrayLike) -> Any:
+    return function(t)
 
 
 def _angular_velocity(frame: Any, t: ArrayLike) -> Array:

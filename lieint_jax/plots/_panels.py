@@ -109,7 +109,7 @@ def chain(axes: np.ndarray, t: np.ndarray, x: np.ndarray, name: str) -> None:
 
 
 def on_sphere(
-    axes: np.ndarray,
+    axes: Sequence[Any] | np.ndarray,
     t: np.ndarray,
     path: np.ndarray,
     end: float,
@@ -120,7 +120,7 @@ def on_sphere(
     pole_label: str = "γ",
     angle_label: str = "angle from γ (°)",
     eye: np.ndarray | None = None,
-    bounds: Iterable[float] = (),
+    bounds: Iterable[float] | np.ndarray = (),
 ) -> None:
     """Plot a path of unit vectors on the sphere, the members' vectors at time `end`, and its angle from the pole."""
     left, right = axes

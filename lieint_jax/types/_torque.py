@@ -240,8 +240,8 @@ def as_law(law: Any, frame: str = "body") -> Law:
     more = [name for name in ("potential", "power", "mean", "during", "energy") if hasattr(law, name)]
     if more:  # which a function would drop
         raise ValueError(
-            f"a function (t, q, omega) has no {' and no '.join(more)}, as {type(law).__name__} has: a law with more than "
-            "a value inherits li.torques.Law and defines `mean` and `energy`; a potential alone is li.torques.potential"
+            f"a function (t, q, omega) has no {' and no '.join(more)}, as {type(law).__name__} has: a law with more "
+            "than a value inherits li.torques.Law, with `mean` and `energy`; a potential alone is li.torques.potential"
         )
     return Function(callable_pytree(law), getattr(law, "frame", frame))
 

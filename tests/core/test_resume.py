@@ -198,7 +198,9 @@ def test_a_run_that_calls_back_into_python_is_stored_and_not_resumed(tmp_path):
     with pytest.warns(RuntimeWarning, match=f"this run cannot be resumed: {reason}"):
         stored = run(called, path, **options)
     angle = np.sin(stored.state.t[-1]) - np.sin(stored.state.t[0])
-    np.testing.assert_allclose(np.abs(stored.state.q[-1, :, 1]), np.sin(angle / 2), rtol=0, atol=1e-7)  # second order: 1e-8
+    np.testing.assert_allclose(
+        np.abs(stored.state.q[-1, :, 1]), np.sin(angle / 2), rtol=0, atol=1e-7
+    )  # second order: 1e-8
     for rate in (called, turning(1.0)):
         with pytest.raises(ValueError, match=rf"can neither be resumed nor be written in parts: {reason}"):
             run(rate, path, resume=True, **options)

@@ -171,13 +171,13 @@ class Run(Generic[Saved, Reduced]):
         """The run of member k, as one of one body."""
         if self.members is None:
             raise ValueError("the run is of one body and has no members")
-        given, k = k, _checks.integer(k)
-        if k is None or not -self.members <= k < self.members:
-            raise ValueError(f"the run has {self.members} members, numbered from 0, got {given!r}")
-        found = member_of(self._saved, k)
-        step = jax.tree.map(lambda x: x[k], self.step) if self.own_step else self.step
+        number = _checks.integer(k)
+        if number is None or not -self.members <= number < self.members:
+            raise ValueError(f"the run has {self.members} members, numbered from 0, got {k!r}")
+        found = member_of(self._saved, number)
+        step = jax.tree.map(lambda x: x[number], self.step) if self.own_step else self.step
         facts = self.facts._replace(batch=False, own_step=False, source="")
-        return Run(step, None, found, None, self.failed[k], None, None, self.times, facts)
+        return Run(step, None, found, None, self.failed[number], None, None, self.times, facts)
 
     def load(self) -> Run[Saved, Reduced]:
         """The run with its arrays in memory, so that it can be passed to functions under jit."""
