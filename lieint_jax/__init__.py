@@ -96,7 +96,7 @@ from lieint_jax.runs import open_run as open  # noqa: A004
 from lieint_jax.types import State, Step, StepInfo, Trajectory, pytree, static
 
 if TYPE_CHECKING:
-    from lieint_jax import plots, report  # noqa: F401
+    from lieint_jax import plots, report
 
 __all__ = [
     "Event",
@@ -136,6 +136,7 @@ __all__ = [
     "part_of_task",
     "peak_memory",
     "phase_spaces",
+    "plots",
     "potentials",
     "pytree",
     "report",
