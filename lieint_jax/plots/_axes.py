@@ -163,6 +163,7 @@ def log_error(
     curves: Mapping[str, np.ndarray],
     ylabel: str,
     time_unit: str = "",
+    *,
     size: float = 1.0,
     of: str = "",
 ) -> Axes:
@@ -218,6 +219,7 @@ def sphere_path(
     ax: SpatialAxes,
     path: np.ndarray,
     pole: np.ndarray | None = None,
+    *,
     eye: np.ndarray | None = None,
     pole_label: str = "angular momentum",
     joined: bool = True,

@@ -38,7 +38,12 @@ def space_paths(ax: Any, paths: Mapping[str, np.ndarray]) -> None:
 
 
 def histogram(
-    ax: Any, parts: Mapping[str, np.ndarray], label: str, marks: Mapping[str, float] | None = None, shown: float = 1.0
+    ax: Any,
+    parts: Mapping[str, np.ndarray],
+    label: str,
+    marks: Mapping[str, float] | None = None,
+    *,
+    shown: float = 1.0,
 ) -> None:
     """Plot how a number of each member is distributed; members without a value (NaN) are counted in the label.
 

@@ -226,6 +226,8 @@ def test_arguments_after_the_fourth_are_passed_by_name(module):
     by_position = (inspect.Parameter.POSITIONAL_ONLY, inspect.Parameter.POSITIONAL_OR_KEYWORD)
     many = {"constant_lag": 5}  # the columns of a table of bodies, and G
     many |= {"integrate": 5, "event": 7, "reversible": 5, "lyapunov": 5, "kepler": 7}  # calls of the first versions
+    many |= {"series": 5, "log_error": 5, "works": 5, "member_series": 5, "balance": 5}  # drawings: label, then unit
+    many |= {"loglog_lines": 5, "points": 5, "on_sphere": 6}
     for key in module.__all__:
         function = getattr(module, key)
         if inspect.isfunction(function) or (inspect.isclass(function) and key[0].islower()):

@@ -177,7 +177,7 @@ class PseudoRigid(Kind):
         found = self.energies(run)
         size = max(float(abs(H[0])) for H in found.energy.values())
         errors = {name: H - H[0] for name, H in found.energy.items()}
-        plots.log_error(axes[0], found.t, errors, "energy error", self.time_unit, size, "|H₀|")
+        plots.log_error(axes[0], found.t, errors, "energy error", self.time_unit, size=size, of="|H₀|")
         plots.series(axes[1], found.t, {"": found.displacement}, "displacement ‖F − 1‖²", self.time_unit)
 
 
