@@ -223,7 +223,8 @@ def apsides(motion: RelativeMotion) -> Apsides:
 
     The standard errors are those of the scatter of the means about the fit, as it is correlated over up to √n of n
     revolutions: noise, sparse saves, other lines. They do not include terms of longer periods, of which a run shows
-    only a part, nor the errors of the scheme, nor of G.
+    only a part, nor the errors of the scheme, nor of G. From fewer than about 12 revolutions they are too small, by a
+    factor of 2 to 5 from 6.
 
     Args:
         motion: `relative_motion(run)`, saved at any times: several a revolution, or one in each for Kepler's motion.
