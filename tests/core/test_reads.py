@@ -362,6 +362,11 @@ def group_conservation(k):
     return lambda: li.diagnostics.group_conservation(li.groups.special_orthogonal(3), tau, 1).energy
 
 
+def over_members(k):
+    function = li.over_members(lambda x: k() * x)
+    return lambda: function(jnp.arange(3.0))
+
+
 def explained(k):
     f = lambda x: li.scan(lambda c, _: (jnp.sin(c) if k() == 1 else c + k(), None), x, length=3)[0]  # noqa: E731
     return lambda: str([loop.operations for loop in li.explain(f, 1.0)])
@@ -384,6 +389,7 @@ CASES = {
     "run, states": made_states,
     "run, store": stored,
     "submit": submitted,
+    "over_members": over_members,
     "Run.map": mapped,
     "Run.extend": of(driven, lambda step, state: li.run(step, state, DT, 2).extend(2).state.p),
     "Run.energy_error": of(top, lambda step, state: li.run(step, state, DT, 2).energy_error()),

@@ -11,6 +11,7 @@ from jax import Array, lax
 from jax.sharding import Mesh, NamedSharding, PartitionSpec
 from jax.typing import ArrayLike
 
+from lieint_jax._xla import rereading_jit
 from lieint_jax.runs._job import processes
 from lieint_jax.runs._job.devices import AXIS, Tree, checked_mesh, count_processes
 from lieint_jax.runs._job.loop import Axes
@@ -23,7 +24,7 @@ def over_members(function: Callable[..., Tree], in_axes: Axes = 0, mesh: Mesh | 
     `jax.distributed`, every process calls it with the same arguments and gets the same results. All devices run one
     program, so the last bits may depend on the number of devices; those of machine code in `run` do not.
 
-    It is compiled as by `jax.jit`: numbers that `function` reads from outside are those of its first call.
+    It is compiled once, and again if `function` reads other numbers from outside than before.
 
     LAPACK calls (`svd`, `qr`, `solve`, …) inside `function` need `jax.custom_batching.sequential_vmap`: where each core
     of a CPU is a device, XLA runs a batch of them on the threads that already wait for it, and hangs.
@@ -37,7 +38,7 @@ def over_members(function: Callable[..., Tree], in_axes: Axes = 0, mesh: Mesh | 
             batch is padded with copies of the last member.
 
     Returns:
-        The jitted function of many members; its results carry a leading member axis.
+        The compiled function of many members; its results carry a leading member axis.
 
     Raises:
         ValueError: no argument with a member axis, different numbers of members, or a mesh with other axes.
@@ -69,7 +70,7 @@ def over_members(function: Callable[..., Tree], in_axes: Axes = 0, mesh: Mesh | 
         shared = jax.shard_map(mapped, mesh=mesh, in_specs=specs, out_specs=split, check_vma=False)
         return jax.tree.map(drop_padding, shared(*full))
 
-    compiled = jax.jit(map_members)
+    compiled = rereading_jit(map_members)
     if not several:
         return compiled
 
