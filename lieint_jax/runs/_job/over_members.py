@@ -14,7 +14,7 @@ from jax.typing import ArrayLike
 from lieint_jax._xla import rereading_jit
 from lieint_jax.runs._job import processes
 from lieint_jax.runs._job.devices import AXIS, Tree, checked_mesh, count_processes
-from lieint_jax.runs._job.loop import Axes
+from lieint_jax.runs._job.loop import Axes, axes_of_leaves
 
 
 def over_members(function: Callable[..., Tree], in_axes: Axes = 0, mesh: Mesh | None = None) -> Callable[..., Tree]:
@@ -83,17 +83,10 @@ def over_members(function: Callable[..., Tree], in_axes: Axes = 0, mesh: Mesh | 
 
 def _leaf_axes(axes: tuple[Axes, ...], arguments: tuple[Tree, ...]) -> list[int | None]:
     """The axis, 0 or None, of each leaf of the arguments."""
-
-    def is_none(x: object) -> bool:
-        return x is None
-
-    values = jax.tree.leaves(axes, is_leaf=is_none)
+    values = jax.tree.leaves(axes, is_leaf=lambda x: x is None)
     if len(axes) != len(arguments) or any(axis not in (0, None) for axis in values) or 0 not in values:
         raise ValueError(f"in_axes must be 0 or None for each of {len(arguments)} arguments, not all None: {axes}")
-    found: list[int | None] = []
-    for axis, x in zip(axes, arguments, strict=True):
-        jax.tree.map(lambda a, part: found.extend([a] * len(jax.tree.leaves(part))), axis, x, is_leaf=is_none)
-    return found
+    return axes_of_leaves(axes, arguments)
 
 
 def _count(axes: list[int | None], arguments: tuple[Tree, ...]) -> int:
