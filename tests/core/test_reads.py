@@ -368,8 +368,12 @@ def over_members(k):
 
 
 def explained(k):
-    f = lambda x: li.scan(lambda c, _: (jnp.sin(c) if k() == 1 else c + k(), None), x, length=3)[0]  # noqa: E731
-    return lambda: str([loop.operations for loop in li.explain(f, 1.0)])
+    def step(c, _):
+        for _ in range(int(8 * k())):
+            c = jnp.sin(c)
+        return c, None
+
+    return lambda: str([loop.operations for loop in li.explain(lambda x: li.scan(step, x, length=3)[0], 1.0)])
 
 
 def by_xla(call):
