@@ -336,7 +336,7 @@ def submitted(k):
 
 def equilibrium(k):
     body = li.systems.potential_top(J, lambda d: k() * d[2] + d[0] + 0.5 * d[0] ** 2)
-    guess = body.state([0.7, 0.1, 0.7, 0.0], angular_velocity=[0, 0, 0])
+    guess = body.state([0.7, 0.1, 0.7, 0.1], angular_velocity=[0, 0, 0])
     return lambda: li.equilibrium(body, guess).state.q
 
 
