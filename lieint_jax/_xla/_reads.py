@@ -122,7 +122,7 @@ def remembered(most: int) -> Callable[[_Function], _Function]:
 
 
 def rereading_jit(function: _Function, static_argnums: int | Sequence[int] = (), **options: Value) -> _Function:
-    """`jax.jit` of a function of this package, traced again where functions in its arguments read other values.
+    """`jax.jit` of a function of this package, traced again where it or functions in its arguments read other values.
 
     The programs used last are kept: a user's new functions are new structures, and JAX would keep the programs of all.
 
@@ -137,7 +137,7 @@ def rereading_jit(function: _Function, static_argnums: int | Sequence[int] = (),
         fixed = {k: x for k, x in enumerate(arguments) if k in static}
         given = [x for k, x in enumerate(arguments) if k not in fixed]
         structure = jax.tree.structure((given, named))
-        found = reads(*fixed.values(), structure)
+        found = reads(function, *fixed.values(), structure)
         key = None if found is None else (tuple(fixed.items()), found)
 
         def make() -> Value:
@@ -560,19 +560,22 @@ class _Reader:
         self.parts.append(x)
         if x in _fixed_structures:
             return
-        before, self._is_fixed = self._is_fixed, True
-        nodes = [x]
+        inner, nodes = _Reader(), [x]  # its own reader, so that what is read first in it is not "again" elsewhere
         while nodes:
             node = nodes.pop()
             if data := node.node_data():
-                self.add(data[0])
-                self.add(tuple(data[1]) if data[0] is dict else data[1])  # the list of its keys is one for this call
+                inner.add(data[0])
+                inner.add(tuple(data[1]) if data[0] is dict else data[1])  # the list of its keys is one for this call
             nodes += node.children()
-        if self._is_fixed:
+        if inner._is_fixed:
             if len(_fixed_structures) >= _MOST_CODES:
                 _fixed_structures.clear()
             _fixed_structures.add(x)
-        self._is_fixed &= before
+        else:
+            self._is_fixed = False
+            self.parts += inner.parts
+            self.held += inner.held
+            self._read += inner._read
 
 
 def _shortened(text: str) -> Hashable:

@@ -16,6 +16,7 @@ import jax.numpy as jnp
 from jax import lax
 from jax.core import ShapedArray, Tracer
 from jax.extend.core import ClosedJaxpr, Primitive, jaxpr_as_fun
+from jax.tree_util import PyTreeDef
 
 from lieint_jax._checks import outermost
 from lieint_jax._xla import axis_spread, differ, remembered, result_like, unchecked, with_common_axes
@@ -162,7 +163,7 @@ def shape_of(x: AnyArray) -> jax.ShapeDtypeStruct:
 
 
 def march(
-    step: Callable[..., tuple[Tree, Tree]],
+    step: Callable[..., tuple[Tree, Tree]] | TracedStep,
     carry: Tree,
     xs: Tree = None,
     consts: Sequence[Tree] | None = None,
@@ -175,7 +176,8 @@ def march(
     """The carry after rows × every steps, carry, y = step(n, carry, x, *consts), and the last y of each row.
 
     Args:
-        step: a pure function. Traced arrays that it closes over become arguments of the loop.
+        step: a pure function, or what it was traced into. Traced arrays that it closes over become arguments of the
+            loop.
         carry, xs: trees of arrays; those of xs have a leading axis of steps.
         consts: trees of arrays. With them a step closes over no traced array, and JAX traces equal ones once.
         rows, every, reverse: see `Loop`. If one of the numbers is an array, one program serves all; then there is no
@@ -185,14 +187,13 @@ def march(
             array.
     """
     carry, xs, given = jax.tree.map(_strong, (carry, xs, consts or ()))
-    row = jax.tree.map(lambda x: jax.ShapeDtypeStruct(x.shape[1:], x.dtype), xs)
-    number = jax.ShapeDtypeStruct((), jnp.int64 if jax.config.jax_enable_x64 else jnp.int32)  # pyright: ignore
     known = isinstance(rows, int) and isinstance(every, int) and most is None
     stored: Any = rows if most is None else most
     count = [] if known else [jnp.asarray(every, jnp.int32), jnp.minimum(jnp.asarray(rows, jnp.int32), stored)]
-    shapes = number, *jax.tree.map(shape_of, (carry, count, tuple(given))), row
-    with unchecked():
-        closed, (_, out) = _traced(_Checked(step), shapes, consts is not None or outermost())
+    if not isinstance(step, TracedStep):
+        step = traced_step(step, carry, xs, count, given, consts is not None)
+    _check_carry(carry, step.after)
+    closed = step.jaxpr
     starts, fixed, has_effects = jax.tree.leaves(carry), [*count, *jax.tree.leaves(given)], bool(closed.effects)
     closed, closed_over = _with_arguments(closed, 1 + len(starts) + len(fixed))
     fixed += closed_over
@@ -205,19 +206,55 @@ def march(
     found = by_xla(*arguments, loop=loop) if has_effects else loop.bind(arguments)  # such as jax.debug.print
     ys = found[len(starts) :] if ends is None else [found[k][None] for k in ends]
     ends = jax.tree.unflatten(jax.tree.structure(carry), found[: len(starts)])
-    return ends, jax.tree.unflatten(jax.tree.structure(out), ys)
+    return ends, jax.tree.unflatten(step.results, ys)
 
 
-class _Checked(NamedTuple):
-    """A step that returns (carry, y), with a carry of the structure, shapes and types of the one before.
+class TracedStep(NamedTuple):
+    """A step of a loop after JAX has traced it.
 
-    It is equal to another if it has the same function, so that it is traced once.
+    Attributes:
+        jaxpr: the step.
+        after: the types of the carry that it returns.
+        results: the structure of y.
     """
 
-    step: Callable[..., tuple[Tree, Tree]]
+    jaxpr: ClosedJaxpr
+    after: Tree
+    results: PyTreeDef
 
-    def __call__(self, n: AnyArray, carry: Tree, count: Arrays, consts: tuple[Tree, ...], x: Tree) -> tuple[Tree, Tree]:
-        result = self.step(n, carry, x, *consts)
+
+def traced_step(
+    step: Callable[..., tuple[Tree, Tree]],
+    carry: Tree,
+    xs: Tree,
+    count: Sequence[AnyArray] = (),
+    consts: Sequence[Tree] = (),
+    is_closed: bool = False,
+) -> TracedStep:
+    """A step for arguments of these types; the one of before where it can close over no tracer."""
+    row = jax.tree.map(lambda x: jax.ShapeDtypeStruct(x.shape[1:], x.dtype), xs)
+    number = jax.ShapeDtypeStruct((), jnp.int64 if jax.config.jax_enable_x64 else jnp.int32)  # pyright: ignore
+    shapes = number, *jax.tree.map(shape_of, (carry, list(count), tuple(consts))), row
+    with unchecked():
+        if is_closed or outermost():
+            traced = _jitted_step(step).trace(*shapes)
+            closed, out = traced.jaxpr, traced.out_info
+        else:  # by a new function, or JAX may return what it has traced before
+            closed, out = jax.make_jaxpr(_with_structure(step), return_shape=True)(*shapes)
+    after, y = jax.tree.unflatten(jax.tree.structure(out), closed.out_avals)
+    return TracedStep(closed, after, jax.tree.structure(y))
+
+
+@remembered(12)
+def _jitted_step(step: Callable[..., tuple[Tree, Tree]]) -> Any:
+    return jax.jit(_with_structure(step))
+
+
+def _with_structure(step: Callable[..., tuple[Tree, Tree]]) -> Callable[..., tuple[Tree, Tree]]:
+    """A step that returns (carry, y), with a carry of the structure of the one before."""
+
+    def checked(n: AnyArray, carry: Tree, count: Arrays, consts: tuple[Tree, ...], x: Tree) -> tuple[Tree, Tree]:
+        result = step(n, carry, x, *consts)
         try:
             after, y = result
         except (TypeError, ValueError):
@@ -225,28 +262,19 @@ class _Checked(NamedTuple):
         given, found = jax.tree.structure(carry), jax.tree.structure(after)
         if given != found:
             raise ValueError(f"a step must return a carry of the structure that it was given, {given}, got {found}")
-        after = jax.tree.map(jnp.asarray, after)
-        for (path, x), z in zip(jax.tree_util.tree_leaves_with_path(carry), jax.tree.leaves(after), strict=True):
-            if x.shape != z.shape or x.dtype != z.dtype:
-                raise ValueError(
-                    f"carry{jax.tree_util.keystr(path)} was {x.dtype} of shape {x.shape}; a step returned {z.dtype} of "
-                    f"shape {z.shape}"
-                )
         return after, y
 
-
-def _traced(step: _Checked, shapes: AnyArrays, is_closed: bool) -> tuple[ClosedJaxpr, Tree]:
-    """The jaxpr of a step, and the shapes of its results; where no tracer can be closed over, the one of before."""
-    if not is_closed:
-        new = lambda *arguments: step(*arguments)  # noqa: E731  # else JAX may return what it has traced before
-        return jax.make_jaxpr(new, return_shape=True)(*shapes)
-    traced = _jitted_step(step).trace(*shapes)
-    return traced.jaxpr, traced.out_info
+    return checked
 
 
-@remembered(12)
-def _jitted_step(step: _Checked) -> Any:
-    return jax.jit(lambda *arguments: step(*arguments))
+def _check_carry(before: Tree, after: Tree) -> None:
+    """Raise ValueError if a step returns a carry of other shapes or types."""
+    for (path, x), z in zip(jax.tree_util.tree_leaves_with_path(before), jax.tree.leaves(after), strict=True):
+        if x.shape != z.shape or x.dtype != z.dtype:
+            raise ValueError(
+                f"carry{jax.tree_util.keystr(path)} was {x.dtype} of shape {x.shape}; a step returned {z.dtype} of "
+                f"shape {z.shape}"
+            )
 
 
 def _strong(x: AnyArray) -> AnyArray:

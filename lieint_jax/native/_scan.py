@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple, TypeVar
 
 import jax
@@ -12,7 +12,7 @@ from jax import lax
 
 from lieint_jax import _checks
 from lieint_jax.native import _march_derivatives, _march_members  # noqa: F401  # the rules of the primitive
-from lieint_jax.native._march import march
+from lieint_jax.native._march import TracedStep, march, traced_step
 
 _Carry = TypeVar("_Carry")
 _X = TypeVar("_X")
@@ -71,9 +71,9 @@ def scan(
     [(steps,)] = lengths
     if steps % every:
         raise ValueError(f"every must divide the number of steps, {steps}, got {every}")
-    init, weak, weak_after = _carried_types(f, init, xs)
-    carry, ys = march(_Unnumbered(f, weak), init, xs, rows=steps // every, every=every, reverse=reverse)
-    return _weakly_typed(carry, weak_after), ys
+    init, step = _with_common_types(f, init, xs)
+    carry, ys = march(step, init, xs, rows=steps // every, every=every, reverse=reverse)
+    return _weakly_typed(carry, _are_weak(jax.tree.leaves(step.after))), ys
 
 
 class _Unnumbered(NamedTuple):
@@ -81,42 +81,39 @@ class _Unnumbered(NamedTuple):
 
     Attributes:
         f: the function.
-        weak: which arrays of the carry take the type of others, as Python's numbers do; none if it is empty.
+        weak: which arrays of the carry take the type of others, as Python's numbers do.
     """
 
     f: Callable[[Any, Any], tuple[Any, Any]]
-    weak: tuple[bool, ...] = ()
+    weak: tuple[bool, ...]
 
     def __call__(self, n: Any, carry: Any, x: Any) -> tuple[Any, Any]:
         return self.f(_weakly_typed(carry, self.weak), x)
 
 
-def _carried_types(f: Callable[[Any, Any], Any], init: Any, xs: Any) -> tuple[Any, tuple[bool, ...], tuple[bool, ...]]:
-    """The first carry in the types that `jax.lax.scan` carries, and which of its arrays are weakly typed before and
-    after a step.
+def _with_common_types(f: Callable[[Any, Any], Any], init: Any, xs: Any) -> tuple[Any, TracedStep]:
+    """The first carry in the types that `jax.lax.scan` carries, and the step of f for it.
 
     Where f returns another type of a weakly typed array, such as a Python number, the array gets the type that they
     have in common. Where it is not the type that f then returns, `march` says so.
     """
     given, structure = jax.tree.flatten(init)
-    carried = [jax.typeof(x) for x in given]
-    if not any(x.weak_type for x in carried):
-        return init, (), ()
-    row = jax.tree.map(lambda x: jax.ShapeDtypeStruct(np.shape(x)[1:], jax.typeof(x).dtype), xs)
+    carried, rows = [jax.typeof(x) for x in given], jax.tree.map(jax.typeof, xs)
 
-    def after() -> list[Any]:
-        shapes = [jax.ShapeDtypeStruct(x.shape, x.dtype, weak_type=x.weak_type) for x in carried]
-        result = jax.eval_shape(f, jax.tree.unflatten(structure, shapes), row)
-        found = jax.tree.leaves(result[0]) if isinstance(result, tuple) and len(result) == 2 else []
-        return found if len(found) == len(carried) else list(carried)  # of another structure, which `march` refuses
+    def traced() -> TracedStep:
+        return traced_step(_Unnumbered(f, _are_weak(carried)), jax.tree.unflatten(structure, carried), rows)
 
-    found = after()
-    if any(x.weak_type and x.dtype != y.dtype for x, y in zip(carried, found, strict=True)):
-        carried = [_common_type(x, y) if x.weak_type else x for x, y in zip(carried, found, strict=True)]
-        found = after()
-    init = jax.tree.unflatten(structure, [jnp.asarray(x, t.dtype) for x, t in zip(given, carried, strict=True)])
-    before, after_step = (tuple(x.weak_type for x in of) for of in (carried, found))
-    return init, before, after_step
+    step = traced()
+    pairs = list(zip(carried, jax.tree.leaves(step.after), strict=True))
+    if any(x.weak_type and x.dtype != y.dtype for x, y in pairs):
+        carried = [_common_type(x, y) if x.weak_type else x for x, y in pairs]
+        given = [jnp.asarray(x, t.dtype) for x, t in zip(given, carried, strict=True)]
+        step = traced()
+    return jax.tree.unflatten(structure, given), step
+
+
+def _are_weak(types: Sequence[Any]) -> tuple[bool, ...]:
+    return tuple(x.weak_type for x in types)
 
 
 def _common_type(x: Any, y: Any) -> Any:

@@ -336,7 +336,7 @@ def submitted(k):
 
 def equilibrium(k):
     body = li.systems.potential_top(J, lambda d: k() * d[2] + d[0] + 0.5 * d[0] ** 2)
-    guess = body.state([0.7, 0.1, 0.7, 0.0], angular_velocity=[0, 0, 0])
+    guess = body.state([0.7, 0.1, 0.7, 0.1], angular_velocity=[0, 0, 0])
     return lambda: li.equilibrium(body, guess).state.q
 
 
@@ -362,9 +362,18 @@ def group_conservation(k):
     return lambda: li.diagnostics.group_conservation(li.groups.special_orthogonal(3), tau, 1).energy
 
 
+def over_members(k):
+    function = li.over_members(lambda x: k() * x)
+    return lambda: function(jnp.arange(3.0))
+
+
 def explained(k):
-    f = lambda x: li.scan(lambda c, _: (jnp.sin(c) if k() == 1 else c + k(), None), x, length=3)[0]  # noqa: E731
-    return lambda: str([loop.operations for loop in li.explain(f, 1.0)])
+    def step(c, _):
+        for _ in range(int(8 * k())):
+            c = jnp.sin(c)
+        return c, None
+
+    return lambda: str([loop.operations for loop in li.explain(lambda x: li.scan(step, x, length=3)[0], 1.0)])
 
 
 def by_xla(call):
@@ -384,6 +393,7 @@ CASES = {
     "run, states": made_states,
     "run, store": stored,
     "submit": submitted,
+    "over_members": over_members,
     "Run.map": mapped,
     "Run.extend": of(driven, lambda step, state: li.run(step, state, DT, 2).extend(2).state.p),
     "Run.energy_error": of(top, lambda step, state: li.run(step, state, DT, 2).energy_error()),

@@ -156,6 +156,31 @@ def test_a_system_for_each_member_and_constants_of_a_step_are_compared(tmp_path,
 
 
 @pytest.mark.usefixtures("no_loop")
+@pytest.mark.parametrize("reduced", [False, True])
+def test_a_rule_for_many_members_is_compared(tmp_path, reduced):
+    def rate(factor):
+        @jax.custom_batching.custom_vmap
+        def turned(t):
+            return jnp.array([jnp.cos(t), 0.3, 0.0])
+
+        @turned.def_vmap
+        def rule(size, batched, t):
+            return factor * jax.vmap(lambda t: jnp.array([jnp.cos(t), 0.3, 0.0]))(t), True
+
+        return turned
+
+    def options(factor):
+        value = rate(factor)
+        return {"reduce": lambda step, z: value(z.t) @ jnp.ones(3)} if reduced else {}
+
+    path, what = tmp_path / "run.zarr", "reduce" if reduced else "the step"
+    begin(rate(1.0), path, **options(1.0))
+    begin(rate(1.0), path, resume=True, **options(1.0))
+    with pytest.raises(ValueError, match=f"by this one: the equations of {what} differ$"):
+        run(rate(1.0 if reduced else 2.0), path, resume=True, **options(2.0))
+
+
+@pytest.mark.usefixtures("no_loop")
 def test_versions_are_compared_and_named_first(tmp_path, monkeypatch):
     path = tmp_path / "run.zarr"
     begin(turning(1.0), path)

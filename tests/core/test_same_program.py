@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 import lieint_jax as li
-from lieint_jax.runs._job.digests import NotComparableError, digest_of_programs
+from lieint_jax.runs._job.digests import NotComparableError, OfMember, digest_of_programs
 
 
 def digest(law):
@@ -77,16 +77,6 @@ def called_outside(t, q, w):
     return jax.ffi.ffi_call("a_library", jax.ShapeDtypeStruct((3,), w.dtype))(w)
 
 
-@jax.custom_batching.custom_vmap
-def of_members(x):
-    return -x
-
-
-@of_members.def_vmap
-def _(size, batched, x):
-    return -2 * x, batched[0]
-
-
 foreign_p = jax.extend.core.Primitive("sin")  # the name of one of JAX
 foreign_p.def_abstract_eval(lambda x: x)
 
@@ -99,7 +89,7 @@ foreign_p.def_abstract_eval(lambda x: x)
         (lambda t, q, w: jax.lax.cond(t < 1, called_back, lambda t, q, w: w, t, q, w), "call back into Python"),
         (lambda t, q, w: li.scan(lambda c, _: (called_back(t, q, c), None), w, length=2)[0], "call back into Python"),
         (called_outside, "call a library by jax.ffi"),
-        (lambda t, q, w: of_members(w), "a parameter without a text"),
+        (lambda t, q, w: jax.lax.sin_p.bind(w, accuracy=len), "the parameter accuracy of sin has no text, builtin"),
         (lambda t, q, w: foreign_p.bind(w), "sin is an operation of another package"),
     ],
 )
@@ -108,6 +98,32 @@ def test_what_equations_do_not_determine_has_no_digest(law, sentence):
         digest(law)
     with pytest.raises(NotComparableError, match="depend on a value that JAX is tracing"):
         jax.jit(lambda x: digest(lambda t, q, w: x * w))(1.0)
+
+
+def with_rule(k, factor):
+    """A law that is another one, by a factor, where it is computed for many members at once."""
+
+    @jax.custom_batching.custom_vmap
+    def g(w, c):
+        return k * c * w
+
+    @g.def_vmap
+    def rule(size, batched, w, c):
+        assert batched == [True, False]
+        return factor * k * c * w, True
+
+    return lambda t, q, w: g(w, 2.0)
+
+
+def test_a_rule_for_many_members_counts_where_there_are_many():
+    def of(law, *own):
+        return digest_of_programs(OfMember(jax.make_jaxpr(law)(*laws_alike.POINT), own))
+
+    one, many = (False, False, False), (False, True, True)
+    assert of(with_rule(0.3, 1.0), *many) == of(with_rule(0.3, 1.0), *many)
+    assert len({of(with_rule(k, factor), *many) for k in (0.3, 0.4) for factor in (1.0, 2.0)}) == 4
+    assert digest(with_rule(0.3, 1.0)) == digest(with_rule(0.3, 2.0)) != digest(with_rule(0.4, 1.0))
+    assert of(lambda t, q, w: -w, *one) == of(lambda t, q, w: -w, *many) == digest(lambda t, q, w: -w)
 
 
 def test_what_a_law_prints_makes_no_difference():

@@ -3,7 +3,8 @@
 A function is identified by its program: the equations that JAX traces, with their constants. How the function is
 written has no part in it, so that a decorator, a closure, a global variable or a file counts by what it changes, and by
 nothing else. Names of variables and functions, places in files, and addresses in memory do not enter. The rules of
-derivatives do not, either: those that a program uses are equations of it.
+derivatives do not, either: those that a program uses are equations of it. Where a function has its own rule for many
+members, by `jax.custom_batching`, the equations that the rule gives for them count, too.
 
 Another version of JAX may trace the same function into other equations.
 """
@@ -15,15 +16,15 @@ import enum
 import hashlib
 import inspect
 import sys
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Sequence
 from functools import cache
-from typing import Any
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 from jax.core import ShapedArray
-from jax.extend.core import ClosedJaxpr, Jaxpr, JaxprEqn, Literal, Primitive
+from jax.extend.core import ClosedJaxpr, Jaxpr, JaxprEqn, Literal, Primitive, jaxpr_as_fun
 from jax.typing import ArrayLike
 
 from lieint_jax import native
@@ -46,6 +47,7 @@ _OMITTED_OF = dict[str, set[str]](  # and those of some
     custom_jvp_call={"jvp_jaxpr_fun"},
     custom_vjp_call={"fwd_jaxpr_thunk", "bwd", "out_trees"},
     custom_vjp_call_jaxpr={"fwd_jaxpr_thunk", "bwd", "out_trees"},
+    custom_vmap_call={"rule", "in_tree", "out_tree"},
     checkpoint={"policy"},
     remat2={"policy"},
 )
@@ -75,16 +77,43 @@ def digest_of_states(states: State) -> str:
     return digest_of_arrays(q[1], p[1], *(part for name, x in rest for part in (name.encode(), x)))
 
 
-def digest_of_programs(*programs: ClosedJaxpr) -> str:
+class OfMember(NamedTuple):
+    """A program of one member, which is run for many.
+
+    Attributes:
+        program: the program.
+        own: for each of its arguments, whether each member has its own.
+    """
+
+    program: ClosedJaxpr
+    own: Sequence[bool]
+
+    @property
+    def of_members(self) -> ClosedJaxpr:
+        """The program of two members, in which rules for many are applied."""
+        shapes = [
+            jax.ShapeDtypeStruct((2, *x.shape) if own else x.shape, x.dtype)
+            for x, own in zip(self.program.in_avals, self.own, strict=True)
+        ]
+        axes = [0 if own else None for own in self.own]
+        return jax.make_jaxpr(jax.vmap(jaxpr_as_fun(self.program), axes, axis_size=2))(*shapes)
+
+
+def digest_of_programs(*programs: ClosedJaxpr | OfMember) -> str:
     """The digest of what functions compute: 16 hexadecimal digits.
 
     Raises:
         NotComparableError: the results are not determined by the equations, or a part of an equation has no text.
     """
-    return _hash(map(_Text().digest, programs))[:16]
+    text, digests = _Text(), []
+    for each in programs:
+        digests.append(text.digest(each.program if isinstance(each, OfMember) else each))
+        if text.has_rules and isinstance(each, OfMember):
+            digests.append(text.digest(each.of_members))
+    return _hash(digests)[:16]
 
 
-def digest_or_reason(*programs: ClosedJaxpr) -> str:
+def digest_or_reason(*programs: ClosedJaxpr | OfMember) -> str:
     """The digest of programs, or why they cannot be compared."""
     try:
         return digest_of_programs(*programs)
@@ -97,10 +126,19 @@ def reason_of(digest: object) -> str:
     return digest if isinstance(digest, str) and digest.startswith(_NOT_COMPARABLE) else ""
 
 
+class _NoTextError(Exception):
+    """A parameter has no text that is the same in another process."""
+
+
 class _Text:
-    """The text of programs: a line for each equation. A program within another stands there by its digest."""
+    """The text of programs: a line for each equation. A program within another stands there by its digest.
+
+    Attributes:
+        has_rules: whether a function in them has its own rule for many members, which the text of one lacks.
+    """
 
     def __init__(self) -> None:
+        self.has_rules = False
         self._digests: dict[int, tuple[Program, str]] = {}  # holds the programs too: a freed id would be reused
 
     def digest(self, program: Program) -> str:
@@ -140,10 +178,16 @@ class _Text:
             return self.digest(expanded)
         if name in _SHOWN:
             return name
+        self.has_rules |= name == "custom_vmap_call"
         if name.startswith(("random", "threefry")):
             name += f" {getattr(equation.ctx, 'threefry_partitionable', None)}"
         omitted = _OMITTED | _OMITTED_OF.get(name, set())
-        parameters = [f"{key}={self._value(x)}" for key, x in sorted(equation.params.items()) if key not in omitted]
+        parameters = []
+        for key in sorted(equation.params.keys() - omitted):
+            try:
+                parameters.append(f"{key}={self._value(equation.params[key])}")
+            except _NoTextError as what:
+                raise NotComparableError(f"the parameter {key} of {name} has no text, {what}") from None
         return f"{name} {parameters}"
 
     def _value(self, x: Any) -> str:
@@ -174,7 +218,7 @@ class _Text:
         shown = repr(x)
         if _is_of_jax(x) and _OF_JAX & {cls.__name__ for cls in inspect.getmro(type(x))} and " at 0x" not in shown:
             return shown
-        raise NotComparableError(f"an operation has a parameter without a text, {of} of {type(x).__module__}")
+        raise _NoTextError(f"{of} of {type(x).__module__}")
 
 
 def _hash(lines: Iterable[str]) -> str:
@@ -216,7 +260,7 @@ def _name_of_dtype(x: Any) -> str:
     except TypeError:
         dtype = np.dtype(object)
     if dtype.hasobject:
-        raise NotComparableError(f"an operation has a parameter without a text, {x}")
+        raise _NoTextError(str(x))
     return dtype.name
 
 

@@ -8,13 +8,12 @@ its members.
 from __future__ import annotations
 
 import logging
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from functools import cached_property
 from typing import Any
 
 import jax
 import numpy as np
-from jax.extend.core import ClosedJaxpr
 from jax.sharding import Mesh
 
 from lieint_jax import native
@@ -22,7 +21,7 @@ from lieint_jax._xla import reads
 from lieint_jax.native import UnsupportedError, computed_by, unsupported_if_it_fails, warn_once
 from lieint_jax.runs._job import devices, loop
 from lieint_jax.runs._job.devices import Layout, Numbers, Tree
-from lieint_jax.runs._job.digests import digest_or_reason
+from lieint_jax.runs._job.digests import OfMember, digest_or_reason
 from lieint_jax.runs._job.job import Job
 from lieint_jax.runs._job.loop import Axes, Carry, Given, MemberLoop, Reduction, Span
 from lieint_jax.runs._march.clock import Clock, GridClock, power_of_two
@@ -122,18 +121,20 @@ class Engine:
         plain, state, t0 = self._of_one_member()
         at_start: Any = state if t0 is None else state._replace(t=jax.ShapeDtypeStruct((), job.dtype))
         examples = plain, at_start, job.clock
+        of_time = 0 if job.own_times else None
+        axes = job.step_axis, jax.tree.map(lambda _: 0, at_start)._replace(t=of_time), None
         with computed_by(self.name, self._threads):
             if made.equations is None:
                 given, programs = Given(plain, None, t0, job.clock, None), []
                 if self.prepares:
-                    step, program = _with_constants(*examples)
+                    step, program = _with_constants(examples, axes)
                     given, programs = given._replace(step=step, plain=plain), [program]
                 interval = made.traced(*loop.shapes_of_interval(state, job.rests is not None), given)
                 made.equations = digest_or_reason(*programs, interval)
             found: dict[str, str | None] = {"equations of the step": made.equations}
             for name, f in {"equations of reduce": job.reduction, "equations of first": job.condition}.items():
                 read = reads(f, jax.tree.structure(examples))
-                found[name] = f and native.make_once(_equations_of, f, (self.prepares,), examples, read)
+                found[name] = f and native.make_once(_equations_of, f, (self.prepares, axes), examples, read)
             return found
 
     def _examined(self) -> tuple[str, int]:
@@ -237,17 +238,28 @@ class Engine:
             return jax.block_until_ready(self._loop.of_all(carry, given, spans, np.int32(count)))
 
 
-def _equations_of(function: Reduction, kinds: tuple[bool], examples: tuple[Step, State, Clock]) -> str:
-    """The digest of a function's equations for a step, if `kinds` says so also with its constants, and a state."""
-    step, state, _ = examples
-    steps = [step, _with_constants(*examples)[0]] if kinds[0] else [step]
-    return digest_or_reason(*(jax.make_jaxpr(function)(step, state) for step in steps))
+def _equations_of(function: Reduction, kinds: tuple[bool, Axes], examples: tuple[Step, State, Clock]) -> str:
+    """The digest of a function's equations for a step, if `kinds` says so also with its constants, and a state.
+
+    The other of `kinds` are the member axes of the examples.
+    """
+    (prepares, axes), (step, state, _) = kinds, examples
+    steps = [(axes[0], step)]
+    if prepares:
+        steps.append((0, _with_constants(examples, axes)[0]))
+    return digest_or_reason(*(_of_member(function, (own, axes[1]), (each, state))[0] for own, each in steps))
 
 
-def _with_constants(step: Step, state: State, clock: Clock) -> tuple[Step, ClosedJaxpr]:
+def _with_constants(examples: tuple[Step, State, Clock], axes: Axes) -> tuple[Step, OfMember]:
     """The shapes of a step with its constants, and the program that computes these."""
-    program, shapes = jax.make_jaxpr(prepared, return_shape=True)(step, state, clock)
+    program, shapes = _of_member(prepared, axes, examples)
     return jax.tree.map(lambda x: jax.ShapeDtypeStruct(x.shape, x.dtype), shapes), program
+
+
+def _of_member(function: Callable[..., Tree], axes: Axes, arguments: tuple[Tree, ...]) -> tuple[OfMember, Tree]:
+    """The program of a function of one member, and the shapes of its results."""
+    program, shapes = jax.make_jaxpr(function, return_shape=True)(*arguments)
+    return OfMember(program, [axis is not None for axis in loop.axes_of_leaves(axes, arguments)]), shapes
 
 
 def _member_shape(x: Numbers) -> jax.ShapeDtypeStruct:

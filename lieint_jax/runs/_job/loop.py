@@ -10,12 +10,13 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import Array, lax
-from jax.extend.core import ClosedJaxpr, jaxpr_as_fun
+from jax.extend.core import jaxpr_as_fun
 from jax.typing import ArrayLike
 
 from lieint_jax import native
 from lieint_jax._xla import compiled, remembered, rereading_jit
 from lieint_jax.runs._job.devices import Numbers, Tree, on_host
+from lieint_jax.runs._job.digests import OfMember
 from lieint_jax.runs._march.clock import Clock, GridClock, UniformClock
 from lieint_jax.runs._march.driver import prepared
 from lieint_jax.types import State, Step, StepInfo, energy_less_work
@@ -158,6 +159,18 @@ def shapes_of_interval(state: State, has_rest: bool) -> tuple[Carry, Span]:
     return Carry(state, StepInfo(size, flag), n, None), Span(n, n, size if has_rest else None, flag)
 
 
+def axes_of_leaves(axes: Axes, arguments: Tree) -> list[int | None]:
+    """The member axis of each leaf of arguments, from such axes as `jax.vmap` has."""
+    found: list[int | None] = []
+    jax.tree.map(
+        lambda axis, part: found.extend([axis] * len(jax.tree.leaves(part))),
+        axes,
+        arguments,
+        is_leaf=lambda x: x is None,
+    )
+    return found
+
+
 def step_dtype() -> np.dtype:
     """The dtype of step counts: int64, or int32 without x64."""
     return jax.dtypes.canonicalize_dtype(np.int64)
@@ -225,6 +238,7 @@ class MemberLoop:
 
     def __init__(self, what: tuple[Reduction | None, Reduction | None], axes: Axes, _: Sequence[Tree]):
         self._reduction, self._condition = what
+        self._axes = axes
         self._of_member = jax.jit(self._interval)
         self.of_all = jax.jit(jax.vmap(self._loop, (*axes, None, None), (0, 1)), compiler_options=compiler_options())
         self.known: dict[str, tuple[str, int]] = {}
@@ -270,10 +284,11 @@ class MemberLoop:
         reached = None if self._condition is None else self._condition(given.step, state)
         return change.include(value, reached, given.clock.time(n) if state.t is None else state.t)
 
-    def traced(self, carry: Carry, span: Span, given: Given) -> ClosedJaxpr:
+    def traced(self, carry: Carry, span: Span, given: Given) -> OfMember:
         """The program of an interval of a member, from arguments or their shapes."""
-        number = np.zeros((), step_dtype())
-        return self._of_member.trace(number, carry, span, given).jaxpr
+        arguments = np.zeros((), step_dtype()), carry, span, given
+        axes = axes_of_leaves((None, self._axes[0], None, self._axes[1]), arguments)
+        return OfMember(self._of_member.trace(*arguments).jaxpr, [axis is not None for axis in axes])
 
     def by_xla(self, members: Iterable[tuple[Carry, Given, Span]]) -> list[tuple[Carry, Tree]]:
         """(carry, saved) after one interval of each of these members, by one program of XLA."""

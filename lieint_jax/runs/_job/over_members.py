@@ -11,9 +11,10 @@ from jax import Array, lax
 from jax.sharding import Mesh, NamedSharding, PartitionSpec
 from jax.typing import ArrayLike
 
+from lieint_jax._xla import rereading_jit
 from lieint_jax.runs._job import processes
 from lieint_jax.runs._job.devices import AXIS, Tree, checked_mesh, count_processes
-from lieint_jax.runs._job.loop import Axes
+from lieint_jax.runs._job.loop import Axes, axes_of_leaves
 
 
 def over_members(function: Callable[..., Tree], in_axes: Axes = 0, mesh: Mesh | None = None) -> Callable[..., Tree]:
@@ -23,7 +24,7 @@ def over_members(function: Callable[..., Tree], in_axes: Axes = 0, mesh: Mesh | 
     `jax.distributed`, every process calls it with the same arguments and gets the same results. All devices run one
     program, so the last bits may depend on the number of devices; those of machine code in `run` do not.
 
-    It is compiled as by `jax.jit`: numbers that `function` reads from outside are those of its first call.
+    It is compiled once, and again if `function` reads other numbers from outside than before.
 
     LAPACK calls (`svd`, `qr`, `solve`, …) inside `function` need `jax.custom_batching.sequential_vmap`: where each core
     of a CPU is a device, XLA runs a batch of them on the threads that already wait for it, and hangs.
@@ -37,7 +38,7 @@ def over_members(function: Callable[..., Tree], in_axes: Axes = 0, mesh: Mesh | 
             batch is padded with copies of the last member.
 
     Returns:
-        The jitted function of many members; its results carry a leading member axis.
+        The compiled function of many members; its results carry a leading member axis.
 
     Raises:
         ValueError: no argument with a member axis, different numbers of members, or a mesh with other axes.
@@ -69,7 +70,7 @@ def over_members(function: Callable[..., Tree], in_axes: Axes = 0, mesh: Mesh | 
         shared = jax.shard_map(mapped, mesh=mesh, in_specs=specs, out_specs=split, check_vma=False)
         return jax.tree.map(drop_padding, shared(*full))
 
-    compiled = jax.jit(map_members)
+    compiled = rereading_jit(map_members)
     if not several:
         return compiled
 
@@ -82,17 +83,10 @@ def over_members(function: Callable[..., Tree], in_axes: Axes = 0, mesh: Mesh | 
 
 def _leaf_axes(axes: tuple[Axes, ...], arguments: tuple[Tree, ...]) -> list[int | None]:
     """The axis, 0 or None, of each leaf of the arguments."""
-
-    def is_none(x: object) -> bool:
-        return x is None
-
-    values = jax.tree.leaves(axes, is_leaf=is_none)
+    values = jax.tree.leaves(axes, is_leaf=lambda x: x is None)
     if len(axes) != len(arguments) or any(axis not in (0, None) for axis in values) or 0 not in values:
         raise ValueError(f"in_axes must be 0 or None for each of {len(arguments)} arguments, not all None: {axes}")
-    found: list[int | None] = []
-    for axis, x in zip(axes, arguments, strict=True):
-        jax.tree.map(lambda a, part: found.extend([a] * len(jax.tree.leaves(part))), axis, x, is_leaf=is_none)
-    return found
+    return axes_of_leaves(axes, arguments)
 
 
 def _count(axes: list[int | None], arguments: tuple[Tree, ...]) -> int:
