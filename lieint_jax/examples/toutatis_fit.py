@@ -56,8 +56,8 @@ def main(
     """
     jax.config.update("jax_enable_x64", True)
     out = out or li.report.new_path("toutatis_fit.png")
-    dates, t, q, rate = fixes()
-    data = {"begin": q[MIDDLE], "epoch": epoch(dates), "q": q[:FITTED], "rate": rate[:FITTED], "t": t[:FITTED]}
+    dates, t, epoch, q, rate = fixes()
+    data = {"begin": q[MIDDLE], "epoch": epoch, "q": q[:FITTED], "rate": rate[:FITTED], "t": t[:FITTED]}
     data = {name: jnp.asarray(x) for name, x in data.items()}
     given = {name: published_params(*state, data) for name, state in STATES.items()}
     zhao, takahashi = given.values()
@@ -114,8 +114,8 @@ def main(
         f"  The fit determines the mean rates of precession and rotation to ± {own[0]:.2f} and ± {own[1]:.2f} °/d; the",
         "  Earth's torque in the flyby of 2004 changed the first by 0.03 °/d rms (toutatis_flyby).",
         f"\n  errors: those of the observed information, enlarged by {factors[0]:.3f} (noise: {factors[1]:.3f}), the",
-        f"  ratio of scatter to error in {sets} synthetic sets; in {sets} others",
-        f"  ({test.success.sum()} fits succeeded) {one:.1f} % of the parameters are within 1σ of the truth (expected: 68.3),",
+        f"  ratio of scatter to error in {sets} synthetic sets; in {sets} others ({test.success.sum()} fits succeeded)",
+        f"  {one:.1f} % of the parameters are within 1σ of the truth (expected: 68.3),",
         f"  {two:.1f} % within 2σ (expected: 95.4), rms/σ is {scatter:.2f}; the truth is inside the joint 95 %",
         f"  ellipsoid in {inside:.0f} % of the sets",
     ]
@@ -125,19 +125,14 @@ def main(
 
 
 def fixes():
-    """Dates, days from the middle fix, attitudes, (20, 4), and body rates (°/d, by radar only), (19, 3)."""
+    """Dates, days of them and of EPOCH from the middle fix, attitudes, (20, 4), body rates (°/d, by radar), (19, 3)."""
     lines = Path(__file__).with_name("toutatis_radar.csv").read_text(encoding="utf-8").splitlines()
     rows = [line.split(",") for line in lines if line[0].isdigit()]
     numbers = np.array([row[1:] for row in rows], float)
     dates = [*(row[0] for row in rows), CHANGE_2[0]]
-    days = np.array(dates, "datetime64[s]") - np.datetime64(dates[MIDDLE])
+    days = (np.array([*dates, EPOCH], "datetime64[s]") - np.datetime64(dates[MIDDLE])) / np.timedelta64(1, "D")
     q = jax.vmap(so3.from_euler_313)(jnp.deg2rad(np.vstack([numbers[:, :3], CHANGE_2[1]])))
-    return dates, days / np.timedelta64(1, "D"), np.asarray(q), numbers[:, 3:]
-
-
-def epoch(dates):
-    """Days from the middle fix to the epoch of the published states."""
-    return (EPOCH - np.datetime64(dates[MIDDLE])) / np.timedelta64(1, "D")
+    return dates, days[:-1], days[-1], np.asarray(q), numbers[:, 3:]
 
 
 def published_params(angles, rate, data):
