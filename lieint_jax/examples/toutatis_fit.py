@@ -107,7 +107,7 @@ def main(
         f"  with normal errors instead: {normal.noise[0]:.2f}°, {normal.noise[1]:.2f} °/d",
         *residual_lines(dates, sizes, outlier),
         *value_lines(fitted, normal, values),
-        "  all eight parameters together, at the middle fix: squared distances by the covariance, 8 expected, of Zhao",
+        "\n  all eight parameters together, at the middle fix: squared distances by the covariance, 8 expected, of Zhao",
         f"  and Takahashi: {joint}",
         *prediction_lines(later, dates[FITTED:]),
         *momentum_lines(compared["fitted"], q, rate, outlier),
