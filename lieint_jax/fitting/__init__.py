@@ -4,8 +4,10 @@
 Bounds are `positive`, `interval(low, high)`, `spd`, `inertia`, `principal_inertia`, `inertia_ratios`, and `free`, which
 is no bound. `student_t` converts errors with outliers to residuals, `member_by_member` speeds up a long computation of
 few numbers.
+`inference` tests the errors of a fit on synthetic data; `tumbling` is the free body whose spin state is fitted.
 """
 
+from lieint_jax.fitting import inference, tumbling
 from lieint_jax.fitting._bounds import Bound, free, inertia, inertia_ratios, interval, positive, principal_inertia, spd
 from lieint_jax.fitting._fit import covariance, fit
 from lieint_jax.fitting._member_by_member import member_by_member
@@ -28,6 +30,7 @@ __all__ = [
     "free",
     "inertia",
     "inertia_ratios",
+    "inference",
     "interval",
     "member_by_member",
     "positive",
@@ -37,4 +40,5 @@ __all__ = [
     "student_t_curvature",
     "student_t_noise_error",
     "student_t_weights",
+    "tumbling",
 ]
