@@ -132,8 +132,8 @@ def main(
             rows,
             changed=changed,
             remarks=[*phase_lines(t, *series.values()), *work_lines(t, H, works, names), capture_line(nadir[-1])],
-            spread="attitude {:g}°, angular velocity {:g}°/s, second moments of mass {:g} of them, residual dipole {:g} "
-            "A m²".format(*SPREAD.values()),
+            spread="attitude {:g}°, angular velocity {:g}°/s, second moments of mass {:g} of them, "
+            "residual dipole {:g} A m²".format(*SPREAD.values()),
             time_unit="s",
         )
     )
