@@ -103,11 +103,12 @@ def main(
     noise = jax.random.normal(jax.random.key(seed), (members, 4, 3)).at[0].set(0.0)
     satellites, states = jax.jit(jax.vmap(member))(noise)
     run = li.run(satellites, states, 2.0, steps, save_every=20, own_step=True, store=out, resume=resume, epoch=date)
-    t, works, names = np.asarray(run.t), np.asarray(run.state.extra["works"]), [*laws(jnp.diag(INERTIA), DIPOLE)]
+    extra, names = run.state.extra or {}, [*laws(jnp.diag(INERTIA), DIPOLE)]
+    t, works = np.asarray(run.t), np.asarray(extra["works"])
     H = np.asarray(run.map(lambda step, z: step.system.energy(z)))
     rate = np.rad2deg(li.measure.rotation_rates(run))
     nadir = np.rad2deg(li.measure.tilt(run, direction=lambda t: so3.Ad(frame(t), jnp.array([0.0, 0.0, 1.0]))))
-    wheels = 1e3 * np.linalg.norm(np.asarray(run.state.extra["wheels"]) @ np.asarray(WHEELS), axis=-1)
+    wheels = 1e3 * np.linalg.norm(np.asarray(extra["wheels"]) @ np.asarray(WHEELS), axis=-1)
     rows = [
         li.report.Row("rate at the end (°/s)", rate[-1]),
         li.report.Row("z axis from the nadir at the end (°)", nadir[-1]),

@@ -200,8 +200,8 @@ def select(states, among, count):
 
 def exponents(step, states, orbits, per_orbit, vectors):
     """The Lyapunov exponents of many states, which share their time, for initial tangent vectors (6, k)."""
-    program = compiled_exponents(orbits * per_orbit, math.gcd(per_orbit, 20))
-    return program(step, states, 2 * np.pi / per_orbit, jnp.asarray(vectors))
+    program, dt = compiled_exponents(orbits * per_orbit, math.gcd(per_orbit, 20)), 2 * np.pi / per_orbit
+    return program(step, states.q, states.p, states.t, dt, jnp.asarray(vectors))
 
 
 def tilted_exponents(step, states, orbits):
@@ -215,10 +215,10 @@ def tilted_exponents(step, states, orbits):
 def compiled_exponents(num_steps, every):
     """One program for all steps, states and tangent vectors of these sizes."""
 
-    def of_one(step, state, dt, vectors):
-        return li.diagnostics.lyapunov(step, state, dt, num_steps, every=every, vectors=vectors)
+    def of_one(step, q, p, t, dt, vectors):
+        return li.diagnostics.lyapunov(step, li.State(q, p, t), dt, num_steps, every=every, vectors=vectors)
 
-    return li.over_members(of_one, (None, li.State(0, 0, None), None, None))
+    return li.over_members(of_one, (None, 0, 0, None, None, None))
 
 
 def exponents_about(k, members, orbits, seed):
@@ -316,9 +316,9 @@ def draw_section(run, section, angles):
         grids = (x.reshape(-1, angles) for x in (theta[0], rate[0], values))
         x, y, value = (np.concatenate([grid, grid[:, :1]], axis=1) for grid in grids)  # θ has the period π
         x[:, -1] += np.pi
-        image = ax.pcolormesh(x, y, value, shading="nearest", vmin=0, vmax=section.max(), cmap="magma")
+        ax.pcolormesh(x, y, value, shading="nearest", vmin=0, vmax=section.max(), cmap="magma")
         ax.set_title(f"Lyapunov exponent / n,\n{name}")
-    fig.colorbar(image, ax=maps[1], label="Lyapunov exponent / n")
+    fig.colorbar(maps[1].collections[0], ax=maps[1], label="Lyapunov exponent / n")
     for ax in axes:
         ax.set(xlabel="θ, long axis from the line of apsides", xlim=(0, np.pi), ylim=(0, rate[0].max()))
         ax.set_xticks(np.pi * np.arange(5) / 4, ["0", "π/4", "π/2", "3π/4", "π"])

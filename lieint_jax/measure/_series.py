@@ -121,12 +121,12 @@ def is_librating(angle: ArrayLike, bound: float = np.pi / 2) -> np.ndarray:
     Raises:
         ValueError: no angle, or a bound that is not positive.
     """
-    angle, bound = numbers("angle", angle), numbers("bound", bound)
-    if not angle.ndim or not len(angle) or not np.all(np.asarray(bound) > 0):
-        raise ValueError(f"angle must be (times, …) and bound > 0, got shape {angle.shape} and {bound}")
+    angle, half = numbers("angle", angle), numbers("bound", bound)
+    if not angle.ndim or not len(angle) or not np.all(half > 0):
+        raise ValueError(f"angle must be (times, …) and bound > 0, got shape {angle.shape} and {half}")
     with np.errstate(invalid="ignore"):
-        center = 2 * bound * np.round(angle[0] / (2 * bound))
-        return np.max(np.abs(angle - center), axis=0) < bound
+        center = 2 * half * np.round(angle[0] / (2 * half))
+        return np.max(np.abs(angle - center), axis=0) < half
 
 
 def captured_since(t: ArrayLike, angle: ArrayLike, limit: ArrayLike) -> np.ndarray:
