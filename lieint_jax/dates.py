@@ -211,6 +211,7 @@ def epoch(
             f"the number {given} alone is no date: name what it counts, epoch(jd=…) for Julian dates, epoch(mjd=…) for "
             "modified ones, epoch(unix=…) for seconds since 1970"
         )
+    _checks.plain("date", given)
     raise ValueError(f"a date must be a text such as '2024-03-01T12:00:00 TDB', a datetime or a Time, got {given!r}")
 
 

@@ -26,9 +26,9 @@ def numbers(name: str, value: ArrayLike, kinds: str = "biuf") -> np.ndarray:
     return array.astype(complex if array.dtype.kind == "c" else float)
 
 
-def series(t: ArrayLike, x: ArrayLike, kinds: str = "biuf") -> tuple[np.ndarray, np.ndarray]:
-    """Times (times,), finite, and values (times, …), which may have a NaN, as checked arrays of double precision."""
-    t, x = numbers("the times", t), numbers("the series", x, kinds)
+def series(t: ArrayLike, x: ArrayLike, name: str = "x", kinds: str = "biuf") -> tuple[np.ndarray, np.ndarray]:
+    """Times (times,), finite, and values (times, …) of a name, which may have a NaN, as checked double precision."""
+    t, x = numbers("the times", t), numbers(name, x, kinds)
     _check_shapes(t, x)
     if not np.isfinite(t).all():
         raise ValueError(f"the times must be finite, got {np.sum(~np.isfinite(t))} of {len(t)} that are not")
@@ -61,7 +61,7 @@ def unwrapped(t: ArrayLike, angle: ArrayLike, rate: ArrayLike = 0.0) -> np.ndarr
     Raises:
         ValueError: not as many times as angles, times that are not finite.
     """
-    t, angle = series(t, angle)
+    t, angle = series(t, angle, "angle")
     rate = numbers("rate", rate)
     with np.errstate(invalid="ignore"):
         expected = rate * (t - t[0]).reshape(-1, *[1] * (angle.ndim - 1))
@@ -88,7 +88,7 @@ def mean_rate(t: ArrayLike | Array, angle: ArrayLike | Array) -> np.ndarray | Ar
         xp, t, angle = jnp, jnp.asarray(t), jnp.asarray(angle)
         _check_shapes(t, angle)
     else:
-        xp, (t, angle) = np, series(t, angle)
+        xp, (t, angle) = np, series(t, angle, "angle")
     with np.errstate(invalid="ignore", divide="ignore"):
         weights, columns = slope_weights(t, xp), angle.reshape(len(t), -1)
         return (weights @ (columns - columns.mean(axis=0))).reshape(angle.shape[1:])
@@ -123,7 +123,11 @@ def is_librating(angle: ArrayLike, bound: float = np.pi / 2) -> np.ndarray:
     """
     angle, half = numbers("angle", angle), numbers("bound", bound)
     if not angle.ndim or not len(angle) or not np.all(half > 0):
+<<<<<<< HEAD
         raise ValueError(f"angle must be (times, …) and bound > 0, got shape {angle.shape} and {bound}")
+=======
+        raise ValueError(f"angle must be (times, …) and bound > 0, got shape {angle.shape} and {half}")
+>>>>>>> 70563a1dcd830b7fffe5acda4d38dbf5df85c843
     with np.errstate(invalid="ignore"):
         center = 2 * half * np.round(angle[0] / (2 * half))
         return np.max(np.abs(angle - center), axis=0) < half
@@ -143,7 +147,7 @@ def captured_since(t: ArrayLike, angle: ArrayLike, limit: ArrayLike) -> np.ndarr
     Raises:
         ValueError: not as many times as angles, none, times that are not finite, or a limit that is NaN.
     """
-    t, angle = series(t, angle)
+    t, angle = series(t, angle, "angle")
     far = ~(angle <= _limit(limit))
     since = np.where(far.any(axis=0), len(t) - far[::-1].argmax(axis=0), 0)
     return np.where(since < len(t), t[np.minimum(since, len(t) - 1)], np.nan)[()]

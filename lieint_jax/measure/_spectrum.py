@@ -88,6 +88,7 @@ def line(t: ArrayLike, x: ArrayLike, low: ArrayLike, high: ArrayLike) -> Line:
         ValueError: the times are not evenly spaced; not as many values.
     """
     spacing, windowed, weight = _windowed(t, x)
+    low, high = numbers("low", low), numbers("high", high)
     if len(windowed) < _FEWEST:
         nothing = np.full(windowed.shape[1:], np.nan)[()]
         return Line(nothing, nothing)
@@ -135,7 +136,7 @@ def complex_rates(t: ArrayLike, z: ArrayLike, count: int = 2) -> np.ndarray:
         >>> complex_rates(t, np.exp((0.1 + 2j) * t) + np.exp(-1j * t)).round(9).tolist()
         [(2-0.1j), (-1+0j)]
     """
-    spacing, x = even_spacing(t), series(t, z, "biufc")[1]
+    spacing, x = even_spacing(t), series(t, z, "z", "biufc")[1]
     count = _checks.count("count", count, 1)
     found = np.full(count, np.nan + 0j)
     if x.ndim != 1:
@@ -161,7 +162,7 @@ def _recurrence(z: np.ndarray, count: int) -> tuple[np.ndarray, int]:
 
 def even_spacing(t: ArrayLike) -> float:
     """The signed spacing of evenly spaced times, up to the rounding of their type; ValueError if they are not."""
-    given, t = t, series(t, t)[0]
+    given, t = t, series(t, t, "the times")[0]
     kind = np.asarray(given).dtype
     rounding = float(np.spacing(kind.type(np.max(abs(t))))) if kind.kind == "f" else 0.0
     spacing = (t[-1] - t[0]) / max(len(t) - 1, 1)
@@ -230,7 +231,7 @@ def periodogram(
     Source: Zechmeister & Kürster 2009, Astron. Astrophys. 496, 577; the probability: Baluev 2008, Mon. Not. R. Astron.
     Soc. 385, 1279, (6) and Table 1, for z₁ and a constant as the model without a signal.
     """
-    t, x = numbers("the times", t), numbers("the series", x)
+    t, x = numbers("the times", t), numbers("x", x)
     n = t.size
     sigma = np.ones(n) if errors is None else numbers("errors", errors)
     if (

@@ -58,15 +58,21 @@ def test_an_example_is_a_script_on_public_names(name):
     imported = [node.module or "" for node in nodes if isinstance(node, ast.ImportFrom)]
     assert not any(module.startswith("lieint_jax") for module in imported), "write `import lieint_jax as li`"
 <<<<<<< HEAD
+<<<<<<< HEAD
     private = {node.attr for node in nodes if isinstance(node, ast.Attribute) and node.attr.startswith("_")}
     assert private <= {"_replace"}, "the one public method of named tuples with such a name"
 =======
+=======
+>>>>>>> 70563a1dcd830b7fffe5acda4d38dbf5df85c843
     assert not [
         node.attr
         for node in nodes
         if isinstance(node, ast.Attribute) and node.attr.startswith("_") and node.attr != "_replace"
     ]
+<<<<<<< HEAD
 >>>>>>> 7e5acfe2d3a46c6bb2fc0f95761f8565c339387d
+=======
+>>>>>>> 70563a1dcd830b7fffe5acda4d38dbf5df85c843
 
 
 @pytest.mark.parametrize("name", NAMES)
