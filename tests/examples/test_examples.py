@@ -17,18 +17,24 @@ NAMES = sorted(module.name for module in pkgutil.iter_modules(examples.__path__)
 KEPT = Path(__file__).parents[1] / "data" / "snapshots"
 ARGUMENTS = {"toutatis_takahashi": ("toutatis", "--start", "takahashi")}  # scripts with options, by the kept reports
 FEW = {"pluto_charon": 1, "driven": 1}  # members; further ones of `driven` move chaotically
-ROW = re.compile(r"^  (\S.*?)(?:  +| +(?=[-−]?\d+\.\d{4}))([-−]?\d+\.\d+(?:e[-+]\d+)?)(?:  |$)")
+NUMBER = r"([-−]?\d+\.\d+(?:e[-+]\d+)?)(?=  | ±| +[-−]?\d|$)"  # the first one of a row
+ROW = re.compile(rf"^  (  )?(?!published: )(\S.*?)(?:  +| +(?=[-−]?\d+\.\d{{4}})){NUMBER}")
 COMPARED = [name for name in (*NAMES, *ARGUMENTS) if (KEPT / f"run-{name}.txt").exists() and name != "maclaurin"]
 
 
 def nominal_values(text):
-    """The values of the nominal member in the table of a report, by the names of its rows."""
-    found, inside = {}, False
+    """The values of the nominal member in the table of a report, by the names of its rows.
+
+    The name of an indented row begins with that of the row above, to which it belongs.
+    """
+    found, inside, above = {}, False, ""
     for line in text.splitlines():
         if "nominal" in line.split():
             inside = True
         elif inside and (row := ROW.match(line)):
-            found[" ".join(row[1].split())] = row[2].replace("−", "-")
+            name = " ".join(row[2].split())
+            above = above if row[1] else name
+            found[f"{above}: {name}" if row[1] else name] = row[3].replace("−", "-")
         elif inside and not line.strip():
             inside = False
     return found
