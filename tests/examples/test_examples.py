@@ -63,7 +63,11 @@ def test_an_example_is_a_script_on_public_names(name):
     nodes = list(ast.walk(ast.parse(source(name).read_text(encoding="utf-8"))))
     imported = [node.module or "" for node in nodes if isinstance(node, ast.ImportFrom)]
     assert not any(module.startswith("lieint_jax") for module in imported), "write `import lieint_jax as li`"
-    assert not [node.attr for node in nodes if isinstance(node, ast.Attribute) and node.attr.startswith("_") and node.attr != "_replace"]
+    assert not [
+        node.attr
+        for node in nodes
+        if isinstance(node, ast.Attribute) and node.attr.startswith("_") and node.attr != "_replace"
+    ]
 
 
 @pytest.mark.parametrize("name", NAMES)
