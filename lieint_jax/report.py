@@ -251,8 +251,8 @@ def _number(x: float, digits: str) -> str:
 
 def _citation(published: Published) -> str:
     """A published value with its error and source."""
-    error = "" if published.error is None else f" ± {published.error:g}"
-    return f"{published.value:g}{error}" + (f"  ({published.source})" if published.source else "")
+    error = "" if published.error is None else f" ± {published.error:.10g}"
+    return f"{published.value:.10g}{error}" + (f"  ({published.source})" if published.source else "")
 
 
 def _misfit(row: Row, published: Published) -> str:

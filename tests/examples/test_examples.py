@@ -17,18 +17,24 @@ NAMES = sorted(module.name for module in pkgutil.iter_modules(examples.__path__)
 KEPT = Path(__file__).parents[1] / "data" / "snapshots"
 ARGUMENTS = {"toutatis_takahashi": ("toutatis", "--start", "takahashi")}  # scripts with options, by the kept reports
 FEW = {"pluto_charon": 1, "driven": 1}  # members; further ones of `driven` move chaotically
-ROW = re.compile(r"^  (\S.*?)(?:  +| +(?=[-−]?\d+\.\d{4}))([-−]?\d+\.\d+(?:e[-+]\d+)?)(?:  |$)")
+NUMBER = r"([-−]?\d+\.\d+(?:e[-+]\d+)?)(?=  | ±| +[-−]?\d|$)"  # the first one of a row
+ROW = re.compile(rf"^  (  )?(?!published: )(\S.*?)(?:  +| +(?=[-−]?\d+\.\d{{4}})){NUMBER}")
 COMPARED = [name for name in (*NAMES, *ARGUMENTS) if (KEPT / f"run-{name}.txt").exists() and name != "maclaurin"]
 
 
 def nominal_values(text):
-    """The values of the nominal member in the table of a report, by the names of its rows."""
-    found, inside = {}, False
+    """The values of the nominal member in the table of a report, by the names of its rows.
+
+    The name of an indented row begins with that of the row above, to which it belongs.
+    """
+    found, inside, above = {}, False, ""
     for line in text.splitlines():
         if "nominal" in line.split():
             inside = True
         elif inside and (row := ROW.match(line)):
-            found[" ".join(row[1].split())] = row[2].replace("−", "-")
+            name = " ".join(row[2].split())
+            above = above if row[1] else name
+            found[f"{above}: {name}" if row[1] else name] = row[3].replace("−", "-")
         elif inside and not line.strip():
             inside = False
     return found
@@ -59,20 +65,26 @@ def test_an_example_is_a_script_on_public_names(name):
     assert not any(module.startswith("lieint_jax") for module in imported), "write `import lieint_jax as li`"
 <<<<<<< HEAD
 <<<<<<< HEAD
+<<<<<<< HEAD
     private = {node.attr for node in nodes if isinstance(node, ast.Attribute) and node.attr.startswith("_")}
     assert private <= {"_replace"}, "the one public method of named tuples with such a name"
 =======
 =======
 >>>>>>> 70563a1dcd830b7fffe5acda4d38dbf5df85c843
+=======
+>>>>>>> b25ae77a86de0f94e3fadcedb509fcd9d704d48a
     assert not [
         node.attr
         for node in nodes
         if isinstance(node, ast.Attribute) and node.attr.startswith("_") and node.attr != "_replace"
     ]
 <<<<<<< HEAD
+<<<<<<< HEAD
 >>>>>>> 7e5acfe2d3a46c6bb2fc0f95761f8565c339387d
 =======
 >>>>>>> 70563a1dcd830b7fffe5acda4d38dbf5df85c843
+=======
+>>>>>>> b25ae77a86de0f94e3fadcedb509fcd9d704d48a
 
 
 @pytest.mark.parametrize("name", NAMES)
