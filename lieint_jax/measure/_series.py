@@ -123,11 +123,7 @@ def is_librating(angle: ArrayLike, bound: float = np.pi / 2) -> np.ndarray:
     """
     angle, half = numbers("angle", angle), numbers("bound", bound)
     if not angle.ndim or not len(angle) or not np.all(half > 0):
-<<<<<<< HEAD
         raise ValueError(f"angle must be (times, …) and bound > 0, got shape {angle.shape} and {bound}")
-=======
-        raise ValueError(f"angle must be (times, …) and bound > 0, got shape {angle.shape} and {half}")
->>>>>>> 70563a1dcd830b7fffe5acda4d38dbf5df85c843
     with np.errstate(invalid="ignore"):
         center = 2 * half * np.round(angle[0] / (2 * half))
         return np.max(np.abs(angle - center), axis=0) < half

@@ -63,28 +63,8 @@ def test_an_example_is_a_script_on_public_names(name):
     nodes = list(ast.walk(ast.parse(source(name).read_text(encoding="utf-8"))))
     imported = [node.module or "" for node in nodes if isinstance(node, ast.ImportFrom)]
     assert not any(module.startswith("lieint_jax") for module in imported), "write `import lieint_jax as li`"
-<<<<<<< HEAD
-<<<<<<< HEAD
-<<<<<<< HEAD
     private = {node.attr for node in nodes if isinstance(node, ast.Attribute) and node.attr.startswith("_")}
     assert private <= {"_replace"}, "the one public method of named tuples with such a name"
-=======
-=======
->>>>>>> 70563a1dcd830b7fffe5acda4d38dbf5df85c843
-=======
->>>>>>> b25ae77a86de0f94e3fadcedb509fcd9d704d48a
-    assert not [
-        node.attr
-        for node in nodes
-        if isinstance(node, ast.Attribute) and node.attr.startswith("_") and node.attr != "_replace"
-    ]
-<<<<<<< HEAD
-<<<<<<< HEAD
->>>>>>> 7e5acfe2d3a46c6bb2fc0f95761f8565c339387d
-=======
->>>>>>> 70563a1dcd830b7fffe5acda4d38dbf5df85c843
-=======
->>>>>>> b25ae77a86de0f94e3fadcedb509fcd9d704d48a
 
 
 @pytest.mark.parametrize("name", NAMES)
