@@ -100,8 +100,8 @@ def main(
         f"  {100 * redrawn.mean():.3g} % of the moments were drawn again: no short-axis mode has such periods",
         *after_lines(after),
         *map_lines(on_map, phi, psi),
-        f"\n  attitude at the end, {steps} steps and twice as many: {error:.1e} rad, largest of {len(twice.failed)}",
-        f"  {failed} of these and of the members of the map had a step that did not converge\n{NOTES}\n",
+        f"\n  attitude of {len(twice.failed)} members at the end, in steps half as long: {error:.1e} rad at most",
+        f"  {failed} of these and of the bodies of the map had a step that did not converge\n{NOTES}\n",
     ]
     print(li.report.text(TITLE, run, before_rows(orbit, before), remarks=remarks, time_unit="h"))
     if certificate:
@@ -251,11 +251,10 @@ def draw_map(after, phi, psi):
         grid, is_long = (z.reshape(len(x), len(y)).T for z in (values, after["long_axis"].astype(float)))
         fig.colorbar(ax.pcolormesh(x, y, grid, cmap=colors, shading="gouraud", rasterized=True), ax=ax)
         ax.clabel(ax.contour(x, y, grid, 6, colors=li.plots.INK, linewidths=0.6), fmt="%g", fontsize="x-small")
-        ax.contourf(x, y, is_long, [0.5, 1.5], hatches=["///"], colors="none").set(edgecolor="white", linewidth=0)
+        if is_long.any():
+            ax.contourf(x, y, is_long, [0.5, 1.5], hatches=["///"], colors="none").set(edgecolor="white", linewidth=0)
         ax.set(title=title, xticks=range(0, 361, 90), yticks=range(0, 181, 45))
-    fig.supxlabel(
-        "precession phase φ at the perigee (°); the passage is the same at φ + 180°, ψ + 180°", fontsize="medium"
-    )
+    fig.supxlabel("precession phase φ at the perigee (°); φ + 180°, ψ + 180° are the same passage", fontsize="medium")
     fig.supylabel("rotation phase ψ at the perigee (°)", fontsize="medium")
     fig.suptitle(f"{TITLE}: nominal body; hatched: a long-axis mode after the passage")
     return fig
