@@ -153,8 +153,8 @@ def invariants(step, state):
     """What the free motion from a state keeps: periods, mode, momentum, spin rate 2H/|L|, energy, pole."""
     free, size = step.system.free, jnp.linalg.norm(state.p)
     rate = 2 * free.energy(state) / size
-    found = {"momentum": size, "rate": rate, "excitation": rate / size, "pole": state.p / size}
-    return free.periods(state)._asdict() | found  # the greatest moment is 1
+    found = dict(zip(("precession", "rotation", "long_axis"), free.periods(state), strict=True))
+    return found | {"momentum": size, "rate": rate, "excitation": rate / size, "pole": state.p / size}  # J₃ is 1
 
 
 def before_and_after(run):
