@@ -78,17 +78,17 @@ def main(
     spins, redrawn = jax.jit(jax.vmap(lambda k: draw(jax.random.key(seed), k, known)))(jnp.arange(members))
     start = jax.jit(jax.vmap(lambda spin: passage(orbit, -hours, *spin)))
 
-    def integrate(step, states, count, **options):
-        times = li.orbits.graded_times(orbit, -hours, hours, count)
+    def integrate(bodies, count, **options):
+        (step, states), times = bodies, li.orbits.graded_times(orbit, -hours, hours, count)
         return li.run(step, states._replace(t=states.t[0]), times=times, own_step=True, **options)
 
-    step, states = start(spins)
-    run = integrate(step, states, steps, save_every=40, store=out, resume=resume)
+    bodies = start(spins)
+    run = integrate(bodies, steps, save_every=40, store=out, resume=resume)
     phi, psi = (x.ravel() * np.pi / phases for x in np.mgrid[: 2 * phases, :phases])
     nominal = [jnp.repeat(x[:1], phi.size, axis=0) for x in spins[:3]]
-    mapped = integrate(*start((*nominal, phi, psi)), steps, save_every=steps, progress=False)
-    few = jax.tree.map(lambda x: x[:256], (step, states))
-    twice = integrate(*few, 2 * steps, save_every=2 * steps, progress=False)
+    mapped = integrate(start((*nominal, phi, psi)), steps, save_every=steps, progress=False)
+    few = jax.tree.map(lambda x: x[:256], bodies)
+    twice = integrate(few, 2 * steps, save_every=2 * steps, progress=False)
     error = jax.vmap(li.groups.so3.angle)(*(jnp.asarray(x.state.q[-1, :256]) for x in (run, twice))).max()
     failed = sum((~np.asarray(x.converged)).sum() for x in (mapped, twice))
     (before, after), (_, on_map) = before_and_after(run), before_and_after(mapped)
@@ -105,8 +105,8 @@ def main(
     ]
     print(li.report.text(TITLE, run, before_rows(orbit, before), remarks=remarks, time_unit="h"))
     if certificate:
-        one = jax.tree.map(lambda x: x[0], (step, states))
-        print(f"\nEven steps, nominal member:\n{li.diagnostics.certify(*one, 2 * hours / steps, steps)}")
+        step, state = jax.tree.map(lambda x: x[0], bodies)
+        print(f"\nEven steps, nominal member:\n{li.diagnostics.certify(step, state, 2 * hours / steps, steps)}")
     if pictures:
         print("pictures:", *li.plots.save(draw_map(on_map, phi, psi), out.with_name(f"{out.stem}-map.png")))
 
@@ -124,7 +124,7 @@ def draw(key, k, known):
     J, P, z = jnp.concatenate([J, jnp.ones((16, 1))], axis=1), drawn[:, 2:4], jnp.array([0.0, 0.0, 1.0])
 
     def has_mode(J, P):
-        found = li.systems.rigid_body(J).periods(li.systems.tumbling_state(J, *P, z, long_axis=False))
+        found = li.systems.rigid_body(J).periods(li.systems.tumbling_state(J, P[0], P[1], z, long_axis=False))
         return ~found.long_axis & jnp.allclose(jnp.stack(found[:2]), P, rtol=1e-6)
 
     good = is_body & jax.vmap(has_mode)(J, P)
@@ -143,8 +143,9 @@ def passage(orbit, t, J, P, pole, phi, psi):
     φ is the angle about the angular momentum from the line Earth–body to the long axis; ψ is 2π times the part of P_ψ
     that has passed since the momentum lay between the axes x and z of the body, nearest to x.
     """
-    look = {"phi": phi, "psi": psi, "toward": orbit(0.0)[0]}
-    state = li.systems.rigid_body(J).solution(li.systems.tumbling_state(J, *P, pole, long_axis=False, **look), t)
+    phases = {"phi": phi, "psi": psi, "toward": orbit(0.0)[0]}
+    near = li.systems.tumbling_state(J, P[0], P[1], pole, long_axis=False, **phases)
+    state = li.systems.rigid_body(J).solution(near, t)
     step = li.schemes.compose(li.schemes.splitting(li.systems.gravity_gradient(J, orbit, mu=GM)), 8)
     return step, state._replace(t=jnp.asarray(t), work=jnp.zeros(()))
 

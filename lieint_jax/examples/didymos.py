@@ -157,7 +157,7 @@ def impact(given, dt, steps):
 
     # the derivative is that of the whole model, by a tangent vector along the run, not of Kepler's formula
     measure = jax.jit(jax.vmap(lambda change: jax.jvp(period, (change,), (jnp.ones_like(change),))))
-    T, changes = HOUR * np.array([BEFORE.value, AFTER.value]), np.full(2, given)
+    T, changes, correction = HOUR * np.array([BEFORE.value, AFTER.value]), np.full(2, given), np.inf
     for _ in range(5):  # Newton's method
         found, slope = measure(changes)
         correction = (T - found) / slope
