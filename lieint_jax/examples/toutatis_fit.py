@@ -294,9 +294,10 @@ def draw(t, sizes, outlier, fitted, values, later):
         ax.errorbar(x, y, dy, dx, fmt="x", color=li.plots.RED, label="Zhao, as published")
         ax.set(xlabel=QUANTITIES[k], ylabel=QUANTITIES[k + 1])
     axes[1, 0].plot(*(row[1] for row in PUBLISHED[4:]), "D", color=li.plots.GREEN, label="Hudson & Ostro")
-    for ax in axes.flat:
+    for ax in axes.flat[:3]:
         ax.legend()
-    li.plots.letter_panels(axes, ("residuals", "torque-free prediction", "mean periods", "angular momentum"))
+    titles = ("residuals", "torque-free prediction", "mean periods, ellipses of 1σ, 2σ", "momentum, marks as in (c)")
+    li.plots.letter_panels(axes, titles)
     fig.suptitle(TITLE)
     return fig
 
