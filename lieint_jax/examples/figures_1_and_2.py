@@ -85,10 +85,9 @@ def text_2(runs):
 @li.plots.style()
 def draw_1(runs):
     """Plot the Poisson errors of each body against time."""
-    fig, axes = li.plots.figure(2)
+    (fig, axes), dt = li.plots.figure(2), next(iter(runs)).dt
     for ax, body in zip(axes[0], BODIES, strict=True):
         curves = {LABELS[x.kappa]: sigma for x, (sigma, _) in runs.items() if x.body == body}
-        dt = next(iter(runs)).dt
         li.plots.series(ax, dt * np.arange(len(next(iter(curves.values())))), curves, "Poisson error |σ|")
     li.plots.letter_panels(axes, [inertia(body) for body in BODIES])
     li.plots.legend_below(axes)

@@ -107,8 +107,8 @@ def main(
         f"  with normal errors instead: {normal.noise[0]:.2f}°, {normal.noise[1]:.2f} °/d",
         *residual_lines(dates, sizes, outlier),
         *value_lines(fitted, normal, values),
-        "\n  all eight parameters together, at the middle fix: squared distances by the covariance, 8 expected, of Zhao",
-        f"  and Takahashi: {joint}",
+        "\n  all eight parameters together, at the middle fix: squared distances by the covariance (8 expected) of",
+        f"  Zhao and Takahashi: {joint}",
         *prediction_lines(later, dates[FITTED:]),
         *momentum_lines(compared["fitted"], q, rate, outlier),
         f"  The fit determines the mean rates of precession and rotation to ± {own[0]:.2f} and ± {own[1]:.2f} °/d; the",
@@ -294,9 +294,10 @@ def draw(t, sizes, outlier, fitted, values, later):
         ax.errorbar(x, y, dy, dx, fmt="x", color=li.plots.RED, label="Zhao, as published")
         ax.set(xlabel=QUANTITIES[k], ylabel=QUANTITIES[k + 1])
     axes[1, 0].plot(*(row[1] for row in PUBLISHED[4:]), "D", color=li.plots.GREEN, label="Hudson & Ostro")
-    for ax in axes.flat:
+    for ax in axes.flat[:3]:
         ax.legend()
-    li.plots.letter_panels(axes, ("residuals", "torque-free prediction", "mean periods", "angular momentum"))
+    titles = ("residuals", "torque-free prediction", "mean periods, ellipses of 1σ, 2σ", "momentum, marks as in (c)")
+    li.plots.letter_panels(axes, titles)
     fig.suptitle(TITLE)
     return fig
 

@@ -67,9 +67,9 @@ def main(
     periods = jax.jit(jax.vmap(lambda z: li.fitting.tumbling.mean_periods(body, z)))
     before, after = (jax.tree.map(lambda x, k=k: jnp.asarray(x[k]), run.state) for k in (0, -1))
     change = np.asarray(360 / periods(after) - 360 / periods(before))  # of the mean rates (°/d), (members, 2)
-    length = np.linalg.norm(before.p, axis=1)
-    turn = np.rad2deg(jax.vmap(li.types.vectors.angle)(before.p, after.p))
-    size = np.linalg.norm(after.p - before.p, axis=1) / length
+    directions = [z.p / jnp.linalg.norm(z.p, axis=1, keepdims=True) for z in (before, after)]
+    turn = np.rad2deg(2 * np.arcsin(np.linalg.norm(directions[1] - directions[0], axis=1) / 2))
+    size = np.linalg.norm(after.p - before.p, axis=1) / np.linalg.norm(before.p, axis=1)
     rms, most = np.sqrt((change**2).mean(axis=0)), np.abs(change[:, 0]).max()
     print(f"{TITLE}, in order of magnitude")
     print(f"  {members} members of random phases and orientations, {steps} steps of {24 / steps:g} d, {step.name}")

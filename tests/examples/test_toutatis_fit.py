@@ -43,7 +43,7 @@ def test_the_fit_prints_the_values_that_were_kept(capsys, tmp_path):
         "loss 686.578",
         "attitudes 3.02 ± 0.47°, rates 4.01 ± 0.62 °/d",
         "4.44°, 9.80 °/d",
-        "and Takahashi: 63 (0 of 20",
+        "Zhao and Takahashi: 63 (0 of 20",
         "9 (8 of 20",
         "180.2 ± 0.3      -0.3 σ",
         "7.9° rms in single fixes of 1992",
