@@ -51,7 +51,7 @@ def main(
     slow, fast, long = (states(top, *x) for x in ((training, 1, FAST), (unseen, 2, FASTER), (runs, 3, FAST)))
 
     def residuals(c, used):
-        matrices, converged = defects(top, jnp.concatenate([jnp.zeros(2), used * c]), slow, DT)
+        matrices, converged = defects(top, jax.tree_util.Partial(polynomial, used * c), slow, DT)
         return matrices / DT**3, converged
 
     used = np.array([np.arange(4) < terms for terms in LEARNED.values()], float)  # both forms are fitted together
@@ -90,38 +90,45 @@ def states(top, count, seed, size):
     return jax.vmap(lambda q, Omega: top.state(q, angular_velocity=Omega))(jnp.asarray(q), jnp.asarray(Omega))
 
 
-def kappa_of(weights, x):
+def polynomial(c, x):
+    """κ(x) = 1 + c₁x + c₂x² + …"""
+    value = jnp.zeros_like(x)
+    for coefficient in c[::-1]:
+        value = (value + coefficient) * x
+    return 1 + value
+
+
+def weighted(weights, x):
     """κ(x) = 1 + w₁(κ_exp − 1) + w₂(κ_symplectic − 1) + w₃x + w₄x² + …"""
     given = weights[0] * (li.maps.kappa_exponential(x) - 1) + weights[1] * (li.maps.kappa_symplectic(x) - 1)
-    return 1 + given + x * jnp.polyval(weights[:1:-1], x)
+    return polynomial(weights[2:], x) + given
 
 
-def step_of(top, weights):
-    """The step with the κ of these weights, for |Θ̄| < 1."""
-    kappa = li.maps.Kappa(jax.tree_util.Partial(kappa_of, weights), name="weighted", limit=1.0)
-    return li.schemes.top_energy_momentum(top, kappa)
+def kappa_of(weights):
+    """The κ of `weighted` as an argument of a scheme, for |Θ̄| < 1."""
+    return li.maps.Kappa(jax.tree_util.Partial(weighted, weights), name="weighted", limit=1.0)
 
 
-def defects(top, weights, states, dt):
+def defects(top, kappa, states, dt):
     """The defects Lᵀω(z₁)L − ω(z₀) of a step from each state, (members, 6, 6), and whether all steps converged."""
-    step, space = step_of(top, weights), top.phase_space
+    step, omega = li.schemes.top_energy_momentum(top, kappa), top.phase_space.omega
 
     def defect(state):
-        (end, info), L = step(state, dt), li.diagnostics.linearization(step, state, dt)
-        return L.T @ space.omega(end) @ L - space.omega(state), info.converged
+        end, info, L = li.types.push_forward(top.phase_space, lambda z: step(z, dt), state, jnp.eye(6))
+        return L.T @ omega(end) @ L - omega(state), info.converged
 
     return jax.vmap(defect)(states)
 
 
 def rms_defect(top, weights, states, dt):
     """The root mean square over states of the norm of the defect; NaN if a step failed."""
-    matrices, converged = defects(top, weights, states, dt)
+    matrices, converged = defects(top, kappa_of(weights), states, dt)
     return jnp.sqrt(jnp.where(converged.all(), jnp.mean(jnp.sum(matrices**2, axis=(1, 2))), jnp.nan))
 
 
 def long_runs(top, weights, states, steps):
     """The Poisson error max|P − ω⁻¹| of runs at 50 times, (runs, 50), and their largest energy error, (runs,)."""
-    step, every = step_of(top, weights), steps // SAVES
+    step, every = li.schemes.top_energy_momentum(top, kappa_of(weights)), steps // SAVES
 
     def measure(state):
         path = li.integrate(step, state, DT, steps, save_every=every)
@@ -138,7 +145,7 @@ def draw(kappas, t, series):
     fig, [[left, right]] = li.plots.figure(2)
     fig.suptitle(TITLE)
     x = np.linspace(0, (FASTER * DT) ** 2, 200)
-    curves = {name: np.asarray(jax.vmap(kappa_of, (None, 0))(w, jnp.asarray(x))) for name, w in kappas.items()}
+    curves = {name: np.asarray(jax.vmap(weighted, (None, 0))(w, jnp.asarray(x))) for name, w in kappas.items()}
     li.plots.series(left, x, curves, "κ").set_xlabel("|ΔtΩ|², nearly |Θ̄|²")
     left.axvspan(0, (FAST * DT) ** 2, color=li.plots.GRAY, alpha=0.3, lw=0, label="training range")
     left.legend()

@@ -1,9 +1,9 @@
 """Lyapunov exponents of a chaotic heavy top: from the linearization of the step itself.
 
 The derivative of each step maps a frame of tangent vectors (δθ, δπ), and a QR decomposition makes it orthonormal again;
-the logarithms of R's diagonal add up to the exponents times t. Their sum is zero to round-off for a symplectic step, and
-in the limit they come in pairs ±λ. One pair does not vanish in the limit; the others tend to zero like log(t)/t: one
-belongs to the flow's direction and energy, one to the rotation about the vertical and its momentum. Two independent
+the logarithms of R's diagonal add up to the exponents times t. Their sum is zero to round-off for a symplectic step,
+and in the limit they come in pairs ±λ. One pair does not vanish in the limit; the others tend to zero like log(t)/t:
+one belongs to the flow's direction and energy, one to the rotation about the vertical and its momentum. Two independent
 methods check the exponents: the variational equations of the vector field by collocation, and two neighboring
 trajectories that separate and are rescaled. All quantities are dimensionless.
 """
