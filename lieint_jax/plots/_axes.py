@@ -15,6 +15,7 @@ from matplotlib.axes import Axes
 from matplotlib.colors import LinearSegmentedColormap, to_rgb
 from matplotlib.figure import Figure
 from matplotlib.patheffects import withStroke
+from numpy.typing import ArrayLike
 
 _STYLE = Path(__file__).with_name("lieint.mplstyle")
 _LOOK = matplotlib.rc_params_from_file(_STYLE, use_default_template=False)
@@ -98,7 +99,7 @@ def legend_below(axes: np.ndarray) -> None:
     axes.flat[0].figure.legend(shown.values(), shown.keys(), loc="outside lower center", ncols=2)
 
 
-def series(ax: Axes, t: np.ndarray, curves: Mapping[str, np.ndarray], ylabel: str, time_unit: str = "") -> Axes:
+def series(ax: Axes, t: ArrayLike, curves: Mapping[str, np.ndarray], ylabel: str, time_unit: str = "") -> Axes:
     """Plot at most eight curves against time, each in its own color, dashes and marker. Masked values are left out."""
     _check_number(curves)
     for k, ((label, y), look) in enumerate(zip(curves.items(), STYLES, strict=False)):
@@ -125,7 +126,7 @@ def _marker_indices(ax: Axes, t: np.ndarray, shift: float) -> list[int]:
     return np.unique(abs(x - wanted[:, None]).argmin(axis=1)).tolist()
 
 
-def works(ax: Axes, t: np.ndarray, works: Mapping[str, np.ndarray], unit: str = "", time_unit: str = "") -> Axes:
+def works(ax: Axes, t: ArrayLike, works: Mapping[str, np.ndarray], unit: str = "", time_unit: str = "") -> Axes:
     """Plot the cumulative work of each law of torque, by name; of more than eight, the least are added up in one curve.
 
     If the laws differ much, the axis is logarithmic, and linear about zero up to the peak of the least, or to 10⁻⁶ of
@@ -159,7 +160,7 @@ def paths(ax: Axes, curves: Mapping[str, np.ndarray], plane: tuple[int, int] = (
 
 def log_error(
     ax: Axes,
-    t: np.ndarray,
+    t: ArrayLike,
     curves: Mapping[str, np.ndarray],
     ylabel: str,
     time_unit: str = "",
@@ -180,7 +181,7 @@ def log_error(
     series(ax, t, {label: np.ma.masked_equal(y, 0) for label, y in errors.items()}, ylabel, time_unit)
     ax.set_yscale("log")
     if not any(np.any(y) for y in curves.values()):
-        ax.set(xlim=(t[0], t[-1]), ylim=(epsilon / 10, 10 * epsilon))  # no curve is drawn that would set the limits
+        ax.set(xlim=np.asarray(t)[[0, -1]], ylim=(epsilon / 10, 10 * epsilon))  # no curve is drawn that would set the limits
     if min(np.abs(y).max() for y in curves.values()) >= _NEAR * epsilon:
         return ax
     low, high = ax.get_ylim()
