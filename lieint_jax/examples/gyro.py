@@ -43,6 +43,7 @@ def main(trials: int = 100, out: Path | None = None, seed: int = 4, pictures: bo
     guesses = {name: jnp.tile(jnp.array(value), (trials, 1)) for name, value in GUESS.items()} | {"rate": data[:, 0]}
     found = li.fit(residuals, guesses, bounds=BOUNDS, starts=True, data=data, standardized=True)
     fits, true = found.starts, np.asarray(ravel_pytree(truth)[0])
+    assert fits is not None  # since `starts=True`
     x, sigma = (np.asarray(jax.vmap(lambda p: ravel_pytree(p)[0])(p)) for p in (fits.params, fits.standard_errors))
     columns = true, x.mean(axis=0), x.std(axis=0, ddof=1), sigma.mean(axis=0), (abs(x - true) <= 2 * sigma).mean(axis=0)
     inside = squared_distances(x - true, fits.covariance) <= chdtri(len(true), 0.05)  # the 95 % point of χ²

@@ -56,6 +56,7 @@ def main(
 
     used = np.array([np.arange(4) < terms for terms in LEARNED.values()], float)  # both forms are fitted together
     found = li.fit(residuals, 0 * used, starts=True, data=used, tolerance=1e-6)
+    assert found.starts is not None  # since `starts=True`
     learned = {name: np.r_[0, 0, c * mask] for name, c, mask in zip(LEARNED, found.starts.params, used, strict=True)}
     rms, growth = jax.jit(partial(rms_defect, top)), jax.jit(partial(long_runs, top, steps=steps))
     rows, series = {}, {}

@@ -16,7 +16,6 @@ import jax.numpy as jnp
 from jax import lax
 from jax.core import ShapedArray, Tracer
 from jax.extend.core import ClosedJaxpr, Primitive, jaxpr_as_fun
-from jax.tree_util import PyTreeDef
 
 from lieint_jax._checks import outermost
 from lieint_jax._xla import axis_spread, differ, remembered, result_like, unchecked, with_common_axes
@@ -220,7 +219,7 @@ class TracedStep(NamedTuple):
 
     jaxpr: ClosedJaxpr
     after: Tree
-    results: PyTreeDef
+    results: Tree
 
 
 def traced_step(

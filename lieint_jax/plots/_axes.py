@@ -181,7 +181,9 @@ def log_error(
     series(ax, t, {label: np.ma.masked_equal(y, 0) for label, y in errors.items()}, ylabel, time_unit)
     ax.set_yscale("log")
     if not any(np.any(y) for y in curves.values()):
-        ax.set(xlim=np.asarray(t)[[0, -1]], ylim=(epsilon / 10, 10 * epsilon))  # no curve is drawn that would set the limits
+        ax.set(
+            xlim=np.asarray(t)[[0, -1]], ylim=(epsilon / 10, 10 * epsilon)
+        )  # no curve is drawn that would set the limits
     if min(np.abs(y).max() for y in curves.values()) >= _NEAR * epsilon:
         return ax
     low, high = ax.get_ylim()

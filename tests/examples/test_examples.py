@@ -55,7 +55,7 @@ def source(name):
 
 def run(name, folder, *arguments):
     command = [sys.executable, "-m", f"lieint_jax.examples.{name}", *arguments]
-    return subprocess.run(command, capture_output=True, text=True, cwd=folder, timeout=600, check=False)
+    return subprocess.run(command, capture_output=True, text=True, cwd=folder, timeout=1800, check=False)
 
 
 @pytest.mark.parametrize("name", NAMES)
