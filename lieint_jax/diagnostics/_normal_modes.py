@@ -121,7 +121,12 @@ def _about(system: System, at: State, spins: Spins | None, frame: ArrayLike | No
 
 
 def _modes(found: Derivatives, rates: np.ndarray, small: float) -> NormalModes:
-    """The modes, computed in units of the state, in which no coordinate is large."""
+    """The modes, in units of the state and of momentum with which every conjugate pair has the form 1.
+
+    Momenta of bodies on stiff and on soft springs differ as much as these: the rank of the form would be that of some.
+    """
+    sizes = np.abs(found.unit[:, None] * found.omega * found.unit).max(axis=1)
+    found = found._replace(unit=found.unit / np.sqrt(np.where(sizes > 0, sizes, 1)))
     S, unit = found.hessian(rates), found.unit
     omega, along = unit[:, None] * found.omega * unit, found.directions()[0]
     A = -np.linalg.solve(omega, S)
