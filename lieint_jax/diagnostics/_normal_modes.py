@@ -66,8 +66,10 @@ class NormalModes(NamedTuple):
 def normal_modes(system: System, state: State | Equilibrium, *, frame: ArrayLike | None = None) -> NormalModes:
     """The frequencies of small oscillations about a relative equilibrium, and whether it is stable, with a margin.
 
-    Eigenvalues are paired exactly, ±λ. Real and imaginary parts below 1e-7 of the largest eigenvalue (in float32 3e-3)
-    are set to 0, the size of the errors of a double eigenvalue 0 due to a symmetry that the system does not declare.
+    Eigenvalues are paired exactly, ±λ. Where the energy is definite on the slice, the modes are those of a symmetric
+    problem: nothing grows, and frequencies down to 1e-14 of the largest (in float32 1e-5) are found. Otherwise real and
+    imaginary parts below 1e-7 of the largest eigenvalue (in float32 3e-3) are set to 0, the size of the errors of a
+    double eigenvalue 0 due to a symmetry that the system does not declare.
 
     Args:
         system: as in `equilibrium`.
@@ -119,19 +121,25 @@ def _about(system: System, at: State, spins: Spins | None, frame: ArrayLike | No
 
 
 def _modes(found: Derivatives, rates: np.ndarray, small: float) -> NormalModes:
-    """The modes, computed in units of the state, in which no coordinate is large."""
+    """The modes, in units of the state and of momentum with which every conjugate pair has the form 1.
+
+    Momenta of bodies on stiff and on soft springs differ as much as these: the rank of the form would be that of some.
+    """
+    sizes = np.abs(found.unit[:, None] * found.omega * found.unit).max(axis=1)
+    found = found._replace(unit=found.unit / np.sqrt(np.where(sizes > 0, sizes, 1)))
     S, unit = found.hessian(rates), found.unit
     omega, along = unit[:, None] * found.omega * unit, found.directions()[0]
     A = -np.linalg.solve(omega, S)
     slice_, orbit = _slice(omega, along)
     form, energy = slice_.T @ omega @ slice_, slice_.T @ S @ slice_
-    reduced = -np.linalg.solve(form, energy) if slice_.shape[1] else np.zeros((0, 0))
-    pairs, vectors = _pairs(reduced, small)
+    curvature = _curvature(energy, 16 * small**2)
+    definite = bool(np.all(curvature >= 0) or np.all(curvature <= 0))
+    if definite and curvature.all():
+        pairs, vectors = _oscillations(form, energy, small**2)
+    else:
+        pairs, vectors = _pairs(-np.linalg.solve(form, energy), small)
     group = _group_rates(A, orbit, omega, along, small)
     frequencies, growth = np.abs(np.imag(pairs)), np.abs(np.real(pairs))
-    curvature = np.linalg.eigvalsh((energy + energy.T) / 2)
-    curved = curvature[np.abs(curvature) > 16 * small**2 * np.abs(curvature).max(initial=0)]
-    definite = bool(np.all(curved > 0) or np.all(curved < 0))
     signs = _signs(pairs, vectors, energy)
     stable = not growth.any()
     margin = _margin(frequencies, signs) if stable else -float(growth.max())
@@ -161,6 +169,33 @@ def _slice(omega: np.ndarray, along: np.ndarray) -> tuple[np.ndarray, np.ndarray
     inner = int((sizes > _RANK * np.abs(omega).max()).sum())
     orbit = np.linalg.svd(np.linalg.solve(omega, rows[:rank].T), full_matrices=False)[0]
     return level @ left[:, :inner], orbit
+
+
+def _curvature(energy: np.ndarray, least: float) -> np.ndarray:
+    """Numbers with the signs of the eigenvalues of the energy, 0 where it is constant.
+
+    By Sylvester's law the signs are those with coordinates in which the curvatures are alike, where the rounding errors
+    of stiff ones do not decide about soft ones.
+    """
+    sizes = np.abs(np.diag(energy))
+    unit = 1 / np.sqrt(np.maximum(np.maximum(sizes, least * sizes.max(initial=0)), 1e-300))
+    curvature = np.linalg.eigvalsh(unit[:, None] * (energy + energy.T) / 2 * unit)
+    return np.where(np.abs(curvature) > least * np.abs(curvature).max(initial=0), curvature, 0)
+
+
+def _oscillations(form: np.ndarray, energy: np.ndarray, least: float) -> tuple[np.ndarray, np.ndarray]:
+    """The pairs iν of a definite energy ±LLᵀ, by ascending frequency, and their vectors as columns.
+
+    With y = Lᵀx the flow is ẏ = ∓Lᵀ(form)⁻¹L y, a skew matrix, whose eigenvalues are imaginary in floating-point
+    numbers too: stiff modes give soft ones no growth.
+    """
+    sign = np.sign(np.trace(energy))
+    L = np.linalg.cholesky(sign * (energy + energy.T) / 2)
+    K = -sign * L.T @ np.linalg.solve(form, L)
+    values, vectors = np.linalg.eigh(-0.5j * (K - K.T))  # pairs ±ν
+    half = len(values) // 2
+    values, vectors = values[half:], np.linalg.solve(L.T, vectors[:, half:])
+    return 1j * np.where(values > least * values.max(initial=0), values, 0), vectors
 
 
 def _pairs(A: np.ndarray, small: float) -> tuple[np.ndarray, np.ndarray]:

@@ -18,8 +18,10 @@ LOOPS = {
     "_numerics/elliptic.py:_ascending": "Landen's transformation, quadratic for m1 ≤ ½, the only ones it gets",
     "_numerics/elliptic.py:_descending": "the same for m1 ≥ ½",
     "_numerics/elliptic.py:quarter_period": "means converge quadratically for every ratio of floating-point numbers",
+    "diagnostics/_critical_point.py:_balance": "factors, by which a matrix is multiplied, whatever they are",
     "diagnostics/_critical_point.py:_decrease": "a first search, whose end is judged by Newton's step",
     "diagnostics/_critical_point.py:newton": "its caller judges the end by Newton's step",
+    "diagnostics/_critical_point.py:solved": "its caller judges the last correction, which it returns",
     "diagnostics/_order.py:_flow": "NaN if the last change is not small",
     "diagnostics/_order.py:step_once": "a part of _flow",
     "runs/_storage/untrusted.py:parse_json": "no iteration: levels of brackets, refused if there are more",
@@ -27,13 +29,16 @@ LOOPS = {
     "groups/_matrix.py:exp": "squarings by their number; NaN beyond",
     "groups/_matrix.py:log": "NaN if the last change is not small",
     "groups/_matrix.py:near": "four products, no iteration",
+    "measure/_revolutions.py:mean_ellipse": "an angle left after the rate is seen as one, in the standard error",
     "measure/_nutation.py:from_slope": "halves an interval in which the slope changes sign, to its last digit",
     "measure/_spectrum.py:line": "parabolas over ever smaller steps; the frequency stays near the transform's peak",
     "native/functions/_exponentials.py:_cbrt": "two corrections, tested in ulps for all exponents",
     "files/_tle.py:secular_j2": "each sweep gains three digits, since the drift is 1e-3, and tests compare with sgp4",
     "orbits/_anomaly.py:_halley": "two corrections suffice for all M and e, which tests compare with mpmath",
     "orbits/_graded_times.py:graded_times": "any grid will do",
+    "plots/_axes.py:save": "layouts, each from the one before; they are looked at, not computed with",
     "schemes/_gauss.py:guess": "a guess",
+    "schemes/_shared/clock_coefficients.py:_powers": "three products, no iteration",
 }
 
 
