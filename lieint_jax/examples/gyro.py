@@ -55,7 +55,7 @@ def main(trials: int = 100, out: Path | None = None, seed: int = 4, pictures: bo
     print(f"\n  truth inside the joint 95 % ellipsoid: {100 * inside.mean():.0f} % of the trials")
     if pictures:
         fitted = np.asarray(jax.jit(readings)(jax.tree.map(lambda leaf: leaf[0], fits.params))[0])
-        covariance = fits.covariance.mean(axis=0)[RATIOS, RATIOS]
+        covariance = np.asarray(fits.covariance).mean(axis=0)[RATIOS, RATIOS]
         print("pictures:", *li.plots.save(draw(data[0], fitted, x[:, RATIOS], true[RATIOS], covariance), out))
 
 

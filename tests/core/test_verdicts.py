@@ -29,7 +29,7 @@ LOOPS = {
     "groups/_matrix.py:exp": "squarings by their number; NaN beyond",
     "groups/_matrix.py:log": "NaN if the last change is not small",
     "groups/_matrix.py:near": "four products, no iteration",
-    "measure/_revolutions.py:mean_ellipse": "an angle left after the rate is seen as one, in the standard error",
+    "measure/_revolutions.py:mean_ellipse": "each pass multiplies the error of the rate by about the rate per revolution",
     "measure/_nutation.py:from_slope": "halves an interval in which the slope changes sign, to its last digit",
     "measure/_spectrum.py:line": "parabolas over ever smaller steps; the frequency stays near the transform's peak",
     "native/functions/_exponentials.py:_cbrt": "two corrections, tested in ulps for all exponents",
