@@ -14,6 +14,7 @@ ROOTS = {
     "schemes/_shared/half_rotation.py:solve_scalar": "no iteration: it gives h its derivative; F is returned",
 }
 LOOPS = {
+    "examples/didymos.py:impact": "NaN if the last change is not small",
     "_free_body.py:momentum_of_ratio": "bisection halves an interval, always",
     "_numerics/elliptic.py:_ascending": "Landen's transformation, quadratic for m1 ≤ ½, the only ones it gets",
     "_numerics/elliptic.py:_descending": "the same for m1 ≥ ½",
@@ -29,7 +30,7 @@ LOOPS = {
     "groups/_matrix.py:exp": "squarings by their number; NaN beyond",
     "groups/_matrix.py:log": "NaN if the last change is not small",
     "groups/_matrix.py:near": "four products, no iteration",
-    "measure/_revolutions.py:mean_ellipse": "each pass multiplies the error of the rate by about the rate per revolution",
+    "measure/_revolutions.py:mean_ellipse": "each pass multiplies the error by about the rate per revolution",
     "measure/_nutation.py:from_slope": "halves an interval in which the slope changes sign, to its last digit",
     "measure/_spectrum.py:line": "parabolas over ever smaller steps; the frequency stays near the transform's peak",
     "native/functions/_exponentials.py:_cbrt": "two corrections, tested in ulps for all exponents",
