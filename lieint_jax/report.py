@@ -7,7 +7,6 @@ print(li.report.text("4179 Toutatis", run, rows, time_unit="d"))
 
 from __future__ import annotations
 
-import re
 import textwrap
 from collections.abc import Sequence
 from pathlib import Path
@@ -108,9 +107,10 @@ def changes(run: Run) -> list[Change]:
 
     Energy is relative to its greatest absolute value, momentum to its initial length, each of the same member.
     """
-    known = {x.name: x.conserves for x in schemes.catalogue()}
-    declared = [known[word] for word in re.findall(r"\w+", run.step.name) if word in known]  # the last one is composed
-    conditions = {what: condition for what, _, condition in (x.partition(" (") for x in (declared or [()])[-1])}
+    # A composition has the name of its step in parentheses; what stands in brackets, such as a drift, promises nothing.
+    scheme = run.step.name.rpartition("(")[2].partition("[")[0]
+    declared = next((x.conserves for x in schemes.catalogue() if x.name == scheme), ())
+    conditions = {what: condition for what, _, condition in (x.partition(" (") for x in declared)}
 
     def promise(name: str) -> str:
         if name in conditions:
