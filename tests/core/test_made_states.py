@@ -220,11 +220,17 @@ def test_the_command_line_makes_the_states_of_a_part_only(tmp_path, monkeypatch,
     assert cli.main(["run", "book.toml", "--out", "whole.zarr"]) == 0
     kind, asked = rigid_body.FreeBody, []
     build = kind.build
-    monkeypatch.setattr(kind, "build", lambda scenario, n=None: asked.append(n) or build(scenario, n))
+
+    def noted(scenario, numbers=None):
+        if isinstance(numbers, np.ndarray):  # and no tracer of the function's equations
+            asked.append(numbers)
+        return build(scenario, numbers)
+
+    monkeypatch.setattr(kind, "build", noted)
     for k in range(2):
         del asked[:]
         assert cli.main(["run", "book.toml", "--out", "parts.zarr", "--part", f"{k}/2"]) == 0, capsys.readouterr().err
-        made = {int(numbers[0]) for numbers in asked if numbers is not None}  # the first block, the part's own
+        made = {int(numbers[0]) for numbers in asked}  # the first block, the part's own
         assert made == ({0, 8, 16} if k == 0 else {0, 16, 24, 32})
     assert_same(li.open("parts.zarr"), li.open("whole.zarr"))
 
