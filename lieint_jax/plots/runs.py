@@ -9,6 +9,8 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jax import Array
+from jax.tree_util import Partial
 from matplotlib.figure import Figure
 
 from lieint_jax.capabilities import AbstractBodyInTime, AbstractManyBodies, AbstractRotatingBody
@@ -63,12 +65,12 @@ def pictures_of(states: State) -> dict[str, Callable[[Run, str], Figure]]:
 @plots.style()
 def errors(run: Run, title: str = "") -> Figure:
     """Plot the errors of energy (less work, if counted) and momentum against time: the worst member and the median."""
-    H, K, Phi = (np.asarray(run.map(f)) for f in (_energy_less_work, _kinetic_energy, _momentum))
+    H, K, Phi = series(energy_less_work, run), series(kinetic_energy, run), series(momentum, run)
     what = "error of energy less work" if counts_work(run.state) else "energy error"
-    found = {f"{what}, relative": abs(H - H[0]) / _or_one(np.maximum(abs(H[0]), K.max(axis=0)))}
+    found = {f"{what}, relative": abs(H - H[0]) / positive(np.maximum(abs(H[0]), K.max(axis=0)))}
     if Phi.shape[-1]:
         norm = np.linalg.norm(Phi[0], axis=-1)
-        found["momentum error, relative"] = np.linalg.norm(Phi - Phi[0], axis=-1) / _or_one(norm)
+        found["momentum error, relative"] = np.linalg.norm(Phi - Phi[0], axis=-1) / positive(norm)
     fig, axes = plots.figure(len(found))
     for ax, (label, error) in zip(axes[0], found.items(), strict=True):
         curves = {"worst member": error.max(axis=1), "median": np.median(error, axis=1)}
@@ -84,7 +86,7 @@ def works_of_laws(run: Run, title: str = "") -> Figure:
     names = labels(run.system)
     if len(names) != works.shape[-1]:
         names = [f"law {k + 1}" for k in range(works.shape[-1])]
-    H = np.asarray(run.map(_energy))
+    H = series(energy, run)
     fig, axes = plots.figure(2)
     _panels.balance(axes[0], np.asarray(run.t), H, works, names, time_unit=unit_of(run))
     fig.suptitle(title)
@@ -216,29 +218,36 @@ def unit_of(run: Run) -> str:
     return "" if run.facts.time_unit == "1" else run.facts.time_unit
 
 
-def _or_one(size: np.ndarray) -> np.ndarray:
+def series(function: Callable[[Any, State], Any], run: Run) -> Any:
+    """The values of a function of system and state along a run, (times, …) or (times, members, …), as of NumPy.
+
+    A function that is not a closure is compiled once.
+    """
+    return jax.tree.map(np.asarray, run.map(Partial(_value, function)))
+
+
+def _value(function: Callable[[Any, State], Any], step: Step, state: State) -> Any:
+    return function(step.system, state)
+
+
+def energy(system: Any, state: State) -> Array:
+    """The energy, (), of a state."""
+    return system.energy(state)
+
+
+def momentum(system: Any, state: State) -> Array:
+    """The components of the momentum map of a state."""
+    return system.momentum(state)
+
+
+def positive(size: np.ndarray) -> np.ndarray:
     """Sizes to which changes are relative, 1 in place of 0."""
     return np.where(size > 0, size, 1.0)
 
 
-def _energy(step: Step, state: State) -> Any:
-    return step.system.energy(state)
-
-
-def _energy_less_work(step: Step, state: State) -> Any:
-    return energy_less_work(step.system, state)
-
-
-def _kinetic_energy(step: Step, state: State) -> Any:
+def kinetic_energy(system: Any, state: State) -> Array:
     """The kinetic energy, or 0: a size for errors of an energy that may itself be 0."""
-    system: Any = step.system
-    if hasattr(system, "kinetic_energy"):
-        return system.kinetic_energy(state)
-    return jnp.zeros_like(system.energy(state))
-
-
-def _momentum(step: Step, state: State) -> Any:
-    return step.system.momentum(state)
+    return system.kinetic_energy(state) if hasattr(system, "kinetic_energy") else jnp.zeros_like(system.energy(state))
 
 
 def axis_in_space(q: Any, axis: Any) -> np.ndarray:

@@ -9,50 +9,21 @@ from typing import Any, TypeAlias
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jax import Array
 from jax.sharding import Mesh
-from jax.tree_util import Partial
 
+from lieint_jax.plots.runs import POINTS, energy, kinetic_energy, momentum, positive, series
 from lieint_jax.runs import Run, integrate, over_members
 from lieint_jax.types import State, Step, Trajectory, vectors
 from lieint_jax.types.shapes import PyTree
 
+__all__ = ["POINTS", "energy", "kinetic_energy", "momentum", "positive", "series"]
+
 Numbers: TypeAlias = Any  # a number of one member, or an array of the numbers of all, of JAX or of numpy
 
-LONGEST, POINTS = 200_000, 4_000  # largest numbers of steps of a drawn run and of points of a curve
+LONGEST = 200_000  # the largest number of steps of a drawn run
 
 length: Callable[[Any], np.ndarray] = partial(np.linalg.norm, axis=-1)
 angles = jax.jit(jnp.vectorize(vectors.angle, signature="(n),(n)->()"))  # between vectors (…, 3), in radians
-
-
-def series(function: Callable[[Any, State], Any], run: Run) -> Any:
-    """The values of a function of system and state along a run, (times, …) or (times, members, …), as of NumPy.
-
-    A function that is not a closure is compiled once.
-    """
-    return jax.tree.map(np.asarray, run.map(Partial(_value, function)))
-
-
-def _value(function: Callable[[Any, State], Any], step: Step, state: State) -> Any:
-    return function(step.system, state)
-
-
-def energy(system: Any, state: State) -> Array:
-    return system.energy(state)
-
-
-def momentum(system: Any, state: State) -> Array:
-    return system.momentum(state)
-
-
-def positive(size: np.ndarray) -> np.ndarray:
-    """Sizes to which changes are relative, 1 in place of 0."""
-    return np.where(size > 0, size, 1.0)
-
-
-def kinetic_energy(system: Any, state: State) -> Array:
-    """The kinetic energy, or 0: a size for errors of an energy that may itself be 0."""
-    return system.kinetic_energy(state) if hasattr(system, "kinetic_energy") else jnp.zeros_like(system.energy(state))
 
 
 def nominal_state(run: Run, time: int = 0, member: int = 0) -> State:
