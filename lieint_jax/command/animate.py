@@ -44,7 +44,7 @@ def animate(
     """
     place = archives.address(path)
     named = path_in_folder(place, None)
-    out = named.with_suffix(".gif") if out is None else out
+    out = Path(f"{named.parent / named.stem}.gif") if out is None else out
     film.check_format(out)
     check_folder(out.parent)
     check_replaceable([out], force)

@@ -150,10 +150,12 @@ def _options(function: Callable[..., None], name: str, words: Sequence[str]) -> 
 
 
 def _message(box: str) -> str:
-    """The message in a box that tyro has drawn, which ends with its first rule."""
-    lines = [line.strip("│╭╮╰╯ ") for line in box.splitlines()[1:]]
-    until = next((k for k, line in enumerate(lines) if line.startswith("──")), len(lines))
-    text = " ".join(line for line in lines[:until] if line)
+    """The message in a box that tyro has drawn, from its title, or a rule below that, to the next rule."""
+    lines = [line.strip("│╭╮╰╯|+ ") for line in box.splitlines()[1:]]  # a terminal without Unicode has the plain ones
+    rules = [set(line) <= set("─-") for line in lines]
+    first = 1 if rules[:1] == [True] else 0
+    until = rules.index(True, first) if True in rules[first:] else len(lines)
+    text = " ".join(lines[first:until])
     return text if text.endswith(".") else f"{text}."
 
 

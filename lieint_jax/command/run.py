@@ -31,6 +31,8 @@ def run(name: str, options: Sequence[str], read: Callable[..., Any]) -> None:
     for argument in ("members", "steps"):  # by their meaning in every example
         if isinstance(number := call.keywords.get(argument), int) and number < 1:
             raise ValueError(f"--{argument} must be at least 1, got {number}")
+    if isinstance(out := call.keywords.get("out"), Path) and not call.keywords.get("resume"):
+        _refuse_existing(out)
     members = call.keywords.get("members")
     if isinstance(members, int) and members * _LEAST > (memory := _checks.memory_of_machine()):
         need, have = _checks.spoken_size(members * _LEAST), _checks.spoken_size(memory)
@@ -38,3 +40,11 @@ def run(name: str, options: Sequence[str], read: Callable[..., Any]) -> None:
     if not options and scripts.is_example(script):
         listing.announce(f"run {Path(script.__file__).stem}")
     scripts.call(script, call)
+
+
+def _refuse_existing(out: Path) -> None:
+    """Raise ValueError if results at `out` would replace a file: itself, or a picture; a store is checked by `li.run`."""
+    pictures = sorted(out.parent.glob(f"{out.stem}-[a-z]*.png"))
+    for file in (*([] if out.suffix == ".zarr" else [out]), *pictures):
+        if file.exists():
+            raise ValueError(f"{file} exists and is not overwritten; move it away or choose another --out")

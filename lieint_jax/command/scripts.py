@@ -5,6 +5,7 @@ from __future__ import annotations
 import difflib
 import importlib
 import importlib.util
+import inspect
 import pkgutil
 import sys
 from collections.abc import Callable
@@ -72,6 +73,9 @@ def call(script: Any, function: Callable[[], None]) -> None:
         function()
     except Exception as error:
         raise _judged(error, Path(script.__file__)) from None
+    except KeyboardInterrupt as stop:
+        again = ": the same command with --resume" if "resume" in inspect.signature(script.main).parameters else ""
+        raise KeyboardInterrupt(f"{stop}{again}" if stop.args else "") from None
 
 
 def _import_file(path: Path) -> ModuleType:
