@@ -1,22 +1,17 @@
 """The scripts of the spin fit of Toutatis and of its flyby print the values that were kept of them."""
 
-import re
-from pathlib import Path
-
 import numpy as np
 import pytest
+from kept_values import KEPT, numbers_after
 from scipy.spatial.transform import Rotation
 
 from lieint_jax.examples import toutatis_fit, toutatis_flyby
 
-KEPT = (Path(__file__).parents[1] / "data" / "snapshots" / "study-toutatis.txt").read_text(encoding="utf-8")
-NUMBER = re.compile(r"[-+]?\d+\.?\d*")
 
-
-def numbers(text, start):
-    """The numbers of the first line of a text that begins so, after its name."""
-    [line, *_] = [line for line in text.splitlines() if line.strip().startswith(start)]
-    return [float(x) for x in NUMBER.findall(line.strip().removeprefix(start))]
+def numbers(words, text):
+    """The numbers of the first line that begins with these words, and those that were kept of it."""
+    found, kept = numbers_after(words, text), KEPT["toutatis_fit"]["lines"][words].split()
+    return [[float(x) for x in values] for values in (found, kept)]
 
 
 @pytest.mark.quick
@@ -35,7 +30,7 @@ def test_the_fit_prints_the_values_that_were_kept(capsys, tmp_path):
     text = capsys.readouterr().out
     assert (tmp_path / "fit.png").read_bytes().startswith(b"\x89PNG")
     for name in toutatis_fit.QUANTITIES:  # fitted, ± 1σ; the published states with their differences in σ
-        (value, sigma, _, *states), kept = numbers(text, name), numbers(KEPT, name)
+        (value, sigma, _, *states), kept = numbers(name, text)
         np.testing.assert_allclose([value, sigma, *states[::2]], [*kept[:2], *kept[2::2]], rtol=0, atol=1.1e-3)
         np.testing.assert_allclose(states[1::2], kept[3::2], rtol=0, atol=0.11)
     assert "100 % of 37 random starts end there" in text
@@ -53,12 +48,13 @@ def test_the_fit_prints_the_values_that_were_kept(capsys, tmp_path):
         "± 0.24 and ± 0.22 °/d",
     ):
         assert words in text, words
-    wanted, found = (x.partition("torque-free prediction")[2] for x in (KEPT, text))
+    later = text.partition("torque-free prediction")[2]
     for name, digit in (("fitted", 0.1), ("members, 5 to 95 %", 1.0), ("members farther off", 1.0)):  # (°); %
-        assert numbers(found, name) == pytest.approx(numbers(wanted, name), abs=1.01 * digit)
+        found, kept = numbers(name, later)
+        assert found == pytest.approx(kept, abs=1.01 * digit)
     for date in ("1992-12-02 21:40", "1992-12-07 17:20", "1992-12-18 07:09"):  # residuals of attitude and rate
-        kept = numbers(KEPT, date)
-        assert numbers(text, date) == pytest.approx([kept[0], kept[4]], abs=0.011)
+        found, kept = numbers(date, text)
+        assert found == pytest.approx([kept[0], kept[4]], abs=0.011)
     assert [line[2:12] for line in text.splitlines() if line[2:6] == "1992" and "*" in line] == [
         "1992-12-04",
         "1992-12-07",
@@ -77,4 +73,3 @@ def test_the_flyby_prints_the_values_that_were_kept(capsys, tmp_path):
         "adds up to 43° rms, 111°",
     ):
         assert words in text
-        assert words in KEPT
