@@ -409,3 +409,14 @@ def test_paths_are_drawn_in_as_many_dimensions_as_the_panel_has():
         np.testing.assert_array_equal(
             np.stack(getattr(ax.lines[0], "get_data_3d", ax.lines[0].get_data)()).T[:, 1], path[:, 1]
         )
+
+
+def test_lines_of_error_against_cost_accept_styles():
+    _, axes = plots.figure()
+    curves = {"ours": (np.array([1.0, 2.0]), np.array([1e-2, 1e-4])), "theirs": (np.array([1.0, 3.0]), np.ones(2))}
+    ax = plots.loglog_lines(axes[0, 0], curves, "cost", "error", {"theirs": {"ls": ":"}})
+    ours, theirs = ax.get_lines()
+    np.testing.assert_array_equal(ours.get_xydata(), [[1, 1e-2], [2, 1e-4]])
+    assert ours.get_marker() != theirs.get_marker()
+    assert (ours.get_linestyle(), theirs.get_linestyle()) == ("-", ":")
+    assert (ax.get_xscale(), ax.get_ylabel()) == ("log", "error")
