@@ -29,9 +29,9 @@ CACHE = user_cache_path("lieint", appauthor=False) / "gallery"
 NAMES = sorted(module.name for module in pkgutil.iter_modules(examples.__path__))
 INTRODUCTION = """# Gallery
 
-Each of these scripts is a simulation, a fit or a figure of the paper. `lieint run NAME` runs it, `lieint list NAME` prints it, and
-[The command line](reference/command_line.md#a-script-of-your-own) describes how to make your own from a copy. The pictures were drawn
-when this site was built, with fewer members and steps than by default.
+Each of these scripts is a simulation, a fit or a figure of the paper. `lieint run NAME` runs it, `lieint list NAME`
+prints it, and [The command line](reference/command_line.md#a-script-of-your-own) describes how to make your own from a
+copy. The pictures were drawn when this site was built, many with fewer members and steps than by default.
 """
 SIZES: dict[str, str] = {}  # options of scripts that need longer without them
 
@@ -111,7 +111,8 @@ def _gallery():
     parts = [INTRODUCTION, '<div class="gallery" markdown>']
     for name in NAMES:
         title, shown, _ = _about(name)
-        parts.append(f"[![{title}](gallery/{name}.png)](gallery/{name}.md)\n\n[**{title}**](gallery/{name}.md): {shown}")
+        picture = f"[![{title}](gallery/{name}.png)](gallery/{name}.md)"
+        parts.append(f"<div markdown>\n\n{picture}\n\n[**{title}**](gallery/{name}.md): {shown}\n\n</div>")
     return "\n\n".join([*parts, "</div>"]) + "\n"
 
 
