@@ -147,7 +147,7 @@ def phase_lines(t, series, H, works):
     braked = np.all(np.diff(works["B-dot"], axis=0) <= 0, axis=0)
     return [
         "",
-        *(f"  {name:<50}{''.join(f'{cell:>23}' for cell in cells)}" for name, cells in rows.items()),
+        *(f"  {name:<50}{''.join(f'{cell:>25}' for cell in cells)}" for name, cells in rows.items()),
         f"  detumbling never raised the energy between two saved times: {braked.sum()} of {braked.size} starts",
     ]
 
