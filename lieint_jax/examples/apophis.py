@@ -186,26 +186,22 @@ def before_rows(orbit, before):
 
 
 def after_lines(after):
-    """How the members are distributed after the passage, and what was expected."""
-    P, rate, angle, is_long = (after[key] for key in ("precession", "rate ratio", "angle", "long_axis"))
-    rows = {"P_φ (h)": P, "P_ψ (h)": after["rotation"], "P_φ of short-axis modes (h)": P[~is_long]}
-    rows |= {"P_φ of long-axis modes (h)": P[is_long], "|L| over that before": after["momentum ratio"]}
-    rows |= {
-        "effective spin rate 2H/|L| over that before": rate,
-        "energy over the least at this |L|": after["excitation"],
-    }
-    rows |= {"rotation of the pole (°)": angle, "pole's longitude changed by (°)": after["longitude"]}
-    rows |= {"pole's distance from the ecliptic changed by (°)": after["latitude"]}
-    lines = [f"\n  {'after, members of the run':<52}{'5 %':>9}{'median':>9}{'95 %':>9}{'least':>9}{'most':>9}"]
-    for name, x in rows.items():
-        numbers = np.quantile(x, (0.05, 0.5, 0.95, 0, 1)) if x.size else [np.nan] * 5
-        lines.append(f"  {name:<52}" + "".join(f"{value:>9.3f}" for value in numbers))
+    """How the members are distributed after the passage, next to what was expected."""
+    rate, angle = after["rate ratio"], after["angle"]
     low, high, least, most = np.quantile(rate, (0.05, 0.95, 0, 1))
-    conditions = rate <= 0.5, rate >= 2, angle >= 10, after["longitude"] > 0, after["latitude"] < 0, ~is_long
+    conditions = rate <= 0.5, rate >= 2, angle >= 10, after["longitude"] > 0, after["latitude"] < 0, ~after["long_axis"]
     halved, doubled, shifted, increases, closer, short = (f"{100 * x.mean():.3g} %" for x in conditions)
+    rows = {
+        "P_φ (h)": after["precession"],
+        "P_ψ (h)": after["rotation"],
+        "|L| over that before": after["momentum ratio"],
+    }
+    rows["energy over the least at this |L|"] = after["excitation"]
+    numbers = (
+        f"{name} {{:.2f}}, {{:.2f}} to {{:.2f}}".format(*np.quantile(x, (0.5, 0.05, 0.95))) for name, x in rows.items()
+    )
     return [
-        *lines,
-        f"  {short} end in a short-axis mode, the others in a long-axis mode",
+        f"\n  after, of the members the median, and 5 to 95 %: {'; '.join(numbers)}",
         f"\n  published expectations, and the members of the run; [1] {BENSON}; [2] {DURECH}",
         "  [1] effective spin rate could halve or double",
         f"    here: × {low:.2f} to × {high:.2f} (5 to 95 %), × {least:.2f} to × {most:.2f} in all; halved or less in "
@@ -222,9 +218,6 @@ def map_lines(after, phi, psi):
     rate = after["rate ratio"]
     values = {"P_φ after (h)": after["precession"], "effective spin rate over that before": rate}
     values["rotation of the pole (°)"] = after["angle"]
-    shares = {"spin rate halved or less": rate <= 0.5, "spin rate below × 0.75": rate <= 0.75}
-    shares |= {"spin rate above × 1.5": rate >= 1.5, "spin rate doubled or more": rate >= 2}
-    shares["long-axis mode after"] = after["long_axis"]
     return [
         f"\n  {f'nominal body, {rate.size} pairs of phases':<52}{'value':>9}   at φ, ψ and at φ + 180°, ψ + 180° (°)",
         *(
@@ -232,30 +225,26 @@ def map_lines(after, phi, psi):
             for name, x in values.items()
             for which, k in (("least", x.argmin()), ("most", x.argmax()))
         ),
-        *(f"  {name:<52}{100 * x.mean():>7.1f} %" for name, x in shares.items()),
+        f"  spin rate below × 0.75 in {100 * (rate <= 0.75).mean():.1f} %, above × 1.5 in "
+        f"{100 * (rate >= 1.5).mean():.1f} %, a long-axis mode after in {100 * after['long_axis'].mean():.1f} %",
     ]
 
 
 @li.plots.style()
 def draw_map(after, phi, psi):
     """Map the spin of the nominal body after the passage over both phases."""
-    fig, axes = li.plots.figure(2, 2, sharex=True, sharey=True)
-    panels = {
-        "effective spin rate $2H/|L|$ over that before": (after["rate ratio"], "PuOr_r"),
-        "precession period $P_\\phi$ (h)": (after["precession"], "viridis"),
-        "rotation period $P_\\psi$ (h), at most 500": (np.minimum(after["rotation"], 500), "cividis"),
-        "rotation of the pole (°)": (after["angle"], "magma"),
-    }
+    fig, [axes] = li.plots.figure(2, sharey=True)
+    panels = {"effective spin rate $2H/|L|$ over that before": (after["rate ratio"], "PuOr_r")}
+    panels["rotation of the pole (°)"] = after["angle"], "magma"
     x, y = np.rad2deg(np.unique(phi)), np.rad2deg(np.unique(psi))
-    for ax, (title, (values, colors)) in zip(axes.flat, panels.items(), strict=True):
+    for ax, (title, (values, colors)) in zip(axes, panels.items(), strict=True):
         grid, is_long = (z.reshape(len(x), len(y)).T for z in (values, after["long_axis"].astype(float)))
         fig.colorbar(ax.pcolormesh(x, y, grid, cmap=colors, shading="gouraud", rasterized=True), ax=ax)
         ax.clabel(ax.contour(x, y, grid, 6, colors=li.plots.INK, linewidths=0.6), fmt="%g", fontsize="x-small")
         if is_long.any():
             ax.contourf(x, y, is_long, [0.5, 1.5], hatches=["///"], colors="none").set(edgecolor="white", linewidth=0)
-        ax.set(title=title, xticks=range(0, 361, 90), yticks=range(0, 181, 45))
-    fig.supxlabel("precession phase φ at the perigee (°); φ + 180°, ψ + 180° are the same passage", fontsize="medium")
-    fig.supylabel("rotation phase ψ at the perigee (°)", fontsize="medium")
+        ax.set(title=title, xticks=range(0, 361, 90), yticks=range(0, 181, 45), ylabel="rotation phase ψ (°)")
+        ax.set_xlabel("precession phase φ at the perigee (°); φ + 180°, ψ + 180° are the same passage")
     fig.suptitle(f"{TITLE}: nominal body; hatched: a long-axis mode after the passage")
     return fig
 

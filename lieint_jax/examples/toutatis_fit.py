@@ -52,7 +52,7 @@ def main(
         members: the number of states drawn from the fit for the prediction.
         out: the picture; by default toutatis_fit.png, or toutatis_fit-2.png where that exists.
         seed: of the synthetic data.
-        pictures: draw residuals, prediction, periods and momentum.
+        pictures: draw the prediction and the mean periods.
     """
     jax.config.update("jax_enable_x64", True)
     out = out or li.report.new_path("toutatis_fit.png")
@@ -114,7 +114,7 @@ def main(
     ]
     print("\n".join(lines))
     if pictures:
-        print("pictures:", *li.plots.save(draw(t, sizes, outlier, fitted, values, later), out))
+        print("pictures:", *li.plots.save(draw(fitted, values, later), out))
 
 
 def fixes():
@@ -275,34 +275,27 @@ def momentum_lines(params, q, rate, outlier):
 
 
 @li.plots.style()
-def draw(t, sizes, outlier, fitted, values, later):
-    """Plot residuals by date, the angles of predictions, and periods and momentum with their ellipses."""
-    fig, axes = li.plots.figure(2, 2)
-    marks, colors = "o^s", (li.plots.INK, li.plots.RED, li.plots.BLUE)
-    looks = {name: {"marker": m, "color": c, "ls": ""} for name, m, c in zip(sizes, marks, colors, strict=True)}
-    for name, size in sizes.items():
-        axes[0, 0].plot(t[:FITTED], size[0], label=name, **looks[name])
-        axes[0, 1].plot(later["times"][-3:], later["states"][name], label=name, **looks[name])
-    far = outlier[0]
-    axes[0, 0].plot(t[:FITTED][far], sizes["fitted"][0][far], "o", ms=13, mfc="none", mec=li.plots.INK, label="outlier")
-    axes[0, 0].set(xlabel="days from 1992-12-10", ylabel="attitude error (°)")
+def draw(fitted, values, later):
+    """Plot how far the torque-free prediction is off, and the mean periods with their ellipses."""
+    fig, [[left, right]] = li.plots.figure(2)
+    points = zip("o^s", (li.plots.INK, li.plots.RED, li.plots.BLUE), strict=True)
+    looks = {name: {"marker": m, "color": c, "ls": ""} for name, (m, c) in zip(later["states"], points, strict=True)}
     low, high = np.percentile(later["spread"][:, :-3], (5, 95), axis=0)
-    axes[0, 1].fill_between(later["times"][:-3], low, high, color=li.plots.GRAY, alpha=0.5, label="members, 5–95 %")
-    axes[0, 1].set(xscale="log", xlabel="days after 1992-12-10", ylabel="angle (°)")
-    for ax, k in ((axes[1, 0], 0), (axes[1, 1], 2)):
-        center, matrix = fitted.derived[k : k + 2], fitted.derived_covariance[k : k + 2, k : k + 2]
-        for radius, dashes in ((1, "-"), (2, "--")):
-            ax.plot(*inference.ellipse(center, matrix, radius).T, dashes, color=li.plots.INK, lw=1)
-        for name, x in {"fitted": fitted.derived, **values}.items():
-            ax.plot(x[k], x[k + 1], label=name, **looks[name])
-        (_, x, dx, _), (_, y, dy, _) = PUBLISHED[k : k + 2]
-        ax.errorbar(x, y, dy, dx, fmt="x", color=li.plots.RED, label="Zhao, as published")
-        ax.set(xlabel=QUANTITIES[k], ylabel=QUANTITIES[k + 1])
-    axes[1, 0].plot(*(row[1] for row in PUBLISHED[4:]), "D", color=li.plots.GREEN, label="Hudson & Ostro")
-    for ax in axes.flat[:3]:
+    left.fill_between(later["times"][:-3], low, high, color=li.plots.GRAY, alpha=0.5, label="members, 5–95 %")
+    for radius, dashes in ((1, "-"), (2, "--")):
+        ellipse = inference.ellipse(fitted.derived[:2], fitted.derived_covariance[:2, :2], radius)
+        right.plot(*ellipse.T, dashes, color=li.plots.INK, lw=1)
+    for name, x in {"fitted": fitted.derived, **values}.items():
+        left.plot(later["times"][-3:], later["states"][name], label=name, **looks[name])
+        right.plot(x[0], x[1], label=name, **looks[name])
+    (_, x, dx, _), (_, y, dy, _) = PUBLISHED[:2]
+    right.errorbar(x, y, dy, dx, fmt="x", color=li.plots.RED, label="Zhao, as published")
+    right.plot(*(row[1] for row in PUBLISHED[4:]), "D", color=li.plots.GREEN, label="Hudson & Ostro")
+    left.set(xscale="log", xlabel="days after 1992-12-10", ylabel="angle from the fix, or the fitted attitude (°)")
+    right.set(xlabel=QUANTITIES[0], ylabel=QUANTITIES[1])
+    for ax in (left, right):
         ax.legend()
-    titles = ("residuals", "torque-free prediction", "mean periods, ellipses of 1σ, 2σ", "momentum, marks as in (c)")
-    li.plots.letter_panels(axes, titles)
+    li.plots.letter_panels(np.array([left, right]), ("torque-free prediction", "mean periods, ellipses of 1σ, 2σ"))
     fig.suptitle(TITLE)
     return fig
 
