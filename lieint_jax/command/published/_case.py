@@ -20,10 +20,10 @@ Compute = Callable[[], Mapping[str, ArrayLike]]
 def numbers() -> dict[str, dict[str, Any]]:
     """The published numbers by case, from `numbers.json`, which is their only place.
 
-    An entry has its code, its source (repository, file and commit), the date on which the numbers were read from it, the
-    limit of the agreement, digits (half a unit of the last printed digit, left out where all digits are printed), and
-    its numbers by quantity, digit by digit as published. Where one is changed after it was read, it has a list of
-    changes: date, quantity, was, reason.
+    An entry has its code, its source (repository, file and commit), the date on which the numbers were read from it,
+    the limit of the agreement, digits (half a unit of the last printed digit, left out where all are printed), and its
+    numbers by quantity, digit by digit as published. Where one is changed after it was read, it has a list of changes:
+    date, quantity, was, reason.
     """
     entries = json.loads(Path(__file__).with_name("numbers.json").read_text(encoding="utf-8"))
     return {name: entry | {"read": date.fromisoformat(entry["read"])} for name, entry in entries.items()}
