@@ -14,6 +14,7 @@ import sys
 import threading
 import time
 import warnings
+import zipfile
 from pathlib import Path
 
 import internals
@@ -103,6 +104,46 @@ def test_xarray_reads_a_store(tmp_path, small_chunks):
         np.testing.assert_array_equal(data.time, memory.t)
         assert (data.attrs["dt"], data.attrs["seed"], data.time.attrs["units"]) == (0.1, 3, "d")
         assert data.p.attrs["units"] == "unit of inertia / d"
+
+
+def test_a_run_is_saved_to_one_file_as_zarr_reads_it(tmp_path):
+    xarray = pytest.importorskip("xarray")
+    memory, folder, path = run(), tmp_path / "run.zarr", tmp_path / "run.zip"
+    saved = memory.save(li.StoreOptions(path, {"seed": 3}, "d"))
+    assert_same(saved, memory)
+    again = li.open(path)
+    assert_same(again, memory)
+    np.testing.assert_array_equal(again.energy_error(), memory.energy_error())
+    np.testing.assert_array_equal(again.state.q[3, 5], memory.state.q[3, 5])
+    assert_same(again.load().extend(10), run(num_steps=70))
+    with xarray.open_zarr(zarr.storage.ZipStore(path, mode="r")) as data:
+        np.testing.assert_array_equal(data.q, memory.state.q)
+        assert (data.attrs["seed"], data.time.attrs["units"]) == (3, "d")
+    with zipfile.ZipFile(path) as file:
+        assert {info.compress_type for info in file.infolist()} == {zipfile.ZIP_STORED}
+        assert file.testzip() is None
+    run(folder, reduce="energy")
+    if shutil.which("zip"):  # a folder packed by hand
+        subprocess.run(["zip", "-q0rD", "../hand.zip", "."], cwd=folder, check=True)
+        assert_same(li.open(tmp_path / "hand.zip").summary, li.open(folder).summary)
+    assert {x.name for x in tmp_path.iterdir()} <= {"run.zarr", "run.zip", "hand.zip"}
+
+
+def test_a_file_is_written_as_a_whole_and_by_save_only(tmp_path):
+    memory = run()
+    with pytest.raises(ValueError, match=r"writes to a folder NAME\.zarr, got .*run\.save\('run\.zip'\) writes one file"):
+        run(tmp_path / "run.zip")
+    whole = memory.save(tmp_path / "whole.zip")
+    with disk_for(1000) as waits:
+        memory.save(tmp_path / "counted.zip")
+    assert (tmp_path / "counted.zip").read_bytes() == (tmp_path / "whole.zip").read_bytes()
+    for last in (0, len(waits) // 2, len(waits) - 1):
+        with disk_for(last, OSError(28, "No space left on device")), pytest.raises(OSError, match="No space left"):
+            memory.save(tmp_path / "run.zip")
+    assert sorted(x.name for x in tmp_path.iterdir()) == ["counted.zip", "whole.zip"]
+    for use in (lambda: whole.save(tmp_path / "run.zip"), lambda: whole.extend(5)):
+        with pytest.raises(ValueError, match=r"whole\.zip"):
+            use()
 
 
 FAULTS = {

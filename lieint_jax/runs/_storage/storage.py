@@ -66,7 +66,7 @@ class StoreOptions(NamedTuple):
     """The path of a store, and attributes that are written with the results.
 
     Attributes:
-        path: a folder or a URL, whose name ends in .zarr.
+        path: a folder or a URL, whose name ends in .zarr; for `run.save` a folder, or one file NAME.zip.
         attributes: values for JSON, such as a title. The key "scenario" describes the run: a run with another scenario
             cannot resume it.
         time_unit: the unit of dt.
@@ -82,10 +82,12 @@ class StoreOptions(NamedTuple):
         return store if isinstance(store, StoreOptions) else cls(store)
 
 
-def checked_path(place: str | Path) -> Any:
-    """The path or URL of a store, checked as far as is possible before it exists."""
+def checked_path(place: str | Path, file: bool = False) -> Any:
+    """The path or URL of a store, checked as far as is possible before it exists; with `file` it may be a zip file."""
     path = address(place)
-    if path.suffix != ".zarr":
+    if path.suffix == ".zip" and not file:
+        raise ValueError(f"a run writes to a folder NAME.zarr, got {path}: run.save({path.name!r}) writes one file")
+    if path.suffix not in (".zarr", ".zip"):
         raise ValueError(f"a store is a folder that ends in .zarr, got {path}")
     if isinstance(path, Path) and os.path.lexists(path) and not os.path.exists(path):
         raise ValueError(f"{path} is a link to {path.readlink()}, which does not exist; remove it or make that folder")
