@@ -11,6 +11,7 @@ import abc
 import contextlib
 import json
 import os
+import re
 from collections.abc import Mapping
 from pathlib import Path, PurePosixPath
 from typing import Any, NamedTuple
@@ -19,6 +20,7 @@ from urllib.parse import urlsplit
 from lieint_jax.types.record import record
 
 _SCHEMES = ("s3", "gs", "az", "memory")
+_URL_AS_PATH = re.compile(rf"^({'|'.join(_SCHEMES)}):/(?!/)")  # as an option of type Path: pathlib removes a slash
 
 
 class Url(str):
@@ -46,7 +48,9 @@ def address(text: str | Path) -> Address:
     Raises:
         ValueError: a URL of another scheme, without a bucket or a name NAME.zarr, or with credentials in it.
     """
-    if isinstance(text, Path) or "://" not in text:
+    if isinstance(text, Path):
+        text = _URL_AS_PATH.sub(r"\1://", str(text))
+    if "://" not in text:
         return Path(text)
     parts = urlsplit(text)
     if parts.scheme not in _SCHEMES:
