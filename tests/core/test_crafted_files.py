@@ -17,7 +17,7 @@ import pytest
 from internals import write_root
 
 import lieint_jax as li
-from lieint_jax.app.command import cli
+from lieint_jax.command import cli
 
 BODY = li.systems.rigid_body([1.0, 2.0, 3.0])
 _MEMORY = 300e6  # bytes, the most that all the cases of a test may add: one that is believed asks for more
