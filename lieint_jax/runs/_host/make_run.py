@@ -238,7 +238,7 @@ def open_run(
     """The run in a store, as `run` has written it or is writing it. Its arrays are read when they are indexed.
 
     Args:
-        path: a folder NAME.zarr, or a URL such as s3://bucket/NAME.zarr.
+        path: a folder NAME.zarr, a file NAME.zip of `run.save`, or a URL such as s3://bucket/NAME.zarr.
         own: classes and functions of the step and its system from outside this package, such as a custom potential, by
             their names in the store. If one is missing, the error message contains its name.
 

@@ -383,13 +383,15 @@ class Run(Generic[Saved, Reduced]):
         return run_of_saves(*compute(self.step, start, **options, progress=progress, earlier=saves))
 
     def save(self, path: str | Path | StoreOptions) -> Run[Saved, Reduced]:
-        """Write a run in memory to a new folder NAME.zarr, all of it or nothing, and return the run there.
+        """Write a run in memory to a new folder NAME.zarr or one file NAME.zip, and return the run there.
+
+        All of it is written or nothing. `li.open` reads both; a folder can be resumed, a zip file is complete.
 
         Raises:
-            ValueError: the folder exists; the run is not in memory, or not complete.
+            ValueError: the folder or file exists; the run is not in memory, or not complete.
         """
         if self.facts.source:
-            raise ValueError(f"the run is in {self.facts.source} already: copy the folder")
+            raise ValueError(f"the run is in {self.facts.source} already: copy that, or save run.load()")
         start, saves = self._start_and_saves()
         with _checks.on_host():
             job = checked_job(self.step, start, **self._options, store=path)

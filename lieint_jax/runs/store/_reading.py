@@ -14,7 +14,6 @@ import numpy as np
 from lieint_jax.runs._job.job import SERIES, MemberSummary, Summary
 from lieint_jax.runs._job.loop import Change
 from lieint_jax.runs._storage.chunks import first_of
-from lieint_jax.runs._storage.disk import Disk
 from lieint_jax.runs._storage.files import open_storage, open_zarr
 from lieint_jax.runs._storage.leaves import Saves, Table, states_in
 from lieint_jax.runs._storage.open_archive import open_archive, read_trajectory
@@ -65,7 +64,7 @@ def load_results(path: Address, thorough: bool | None = None) -> tuple[Any, dict
         ValueError: the store is damaged (the message names the file and what can still be read), or `path` holds no
             results.
     """
-    if path.suffix == ".zarr":
+    if path.suffix in (".zarr", ".zip"):
         return load_store(path, thorough)
     assert not isinstance(path, Url)
     found = open_archive(path)
@@ -98,7 +97,7 @@ def read_part(root: Root, k: int, progress: Table) -> Saves:
 
 def read_written(path: Path) -> Saves:
     """The run in a store that this process has just written."""
-    storage = Disk(path)
+    storage = open_storage(path)
     root = read_root(storage)
     assert root is not None
     return read_part(Root(storage, root), 0, root["attributes"]["progress"])
