@@ -52,7 +52,7 @@ SIZES = {  # options of scripts that need longer without them
     "pendulum": "--no-certificate",
     "pluto_charon": "--no-certificate",
     "pseudo_rigid": "--members 20 --no-certificate",
-    "satellite_fit": "",
+    "satellite_fit": "--guesses 10000 --starts 60 --continued 20 --sets 20",
     "sensitivity": "--steps 5000",
     "sn263": "--members 5 --no-certificate",
     "toutatis": "--steps 16000",
@@ -72,7 +72,7 @@ def on_config(config):
 
 def on_files(files, config):
     """Add the gallery, the page of each script and its picture."""
-    with ThreadPoolExecutor(os.cpu_count()) as pool:
+    with ThreadPoolExecutor(min(8, lieint_jax.count_cores())) as pool:
         made = dict(zip(NAMES, pool.map(results, NAMES), strict=True))
     pages = {"gallery.md": _gallery(), **{f"gallery/{name}.md": _page(name, made[name]) for name in NAMES}}
     for uri, text in pages.items():
@@ -85,14 +85,15 @@ def on_files(files, config):
 def results(name):
     """The folder with what a script printed, output.txt, and its first picture, picture.png; it runs if it must."""
     made = CACHE / f"{name}-{_key(name)}"
-    if not made.is_dir():
+    if not (made / "picture.png").is_file():  # which is written last
         with tempfile.TemporaryDirectory() as folder:
             printed = _run(name, Path(folder))
+            picture = Path(folder, _picture(name, printed))
             for old in CACHE.glob(f"{name}-" + "?" * 16):
                 shutil.rmtree(old)
-            made.mkdir(parents=True)
+            made.mkdir(parents=True, exist_ok=True)
             (made / "output.txt").write_text(printed, encoding="utf-8")
-            shutil.copy(Path(folder, _picture(name, printed)), made / "picture.png")
+            shutil.copy(picture, made / "picture.png")
     return made
 
 
