@@ -1,14 +1,14 @@
 """How long does a command run, the first time and again, on two cores?
 
-Every scenario, study and figure, and the certificates of each system run in processes of their own, pinned to two
+Every example, and the certificates of each system run in processes of their own, pinned to two
 cores: first without any compiled program on disk, then with those of the first time. The table has the peak of memory
 and the size of what is written too.
 
     python benchmarks/commands.py [--quick] [--out DIR] [--only NAME …]
 
-The rows go into `lieint_jax/app/command/costs.csv`, from which `lieint list` and the
-commands report how long they take, except with `--quick`.
-`--only "run toutatis" "figure 1"` measures these and writes no report.
+The rows go into `lieint_jax/command/costs.csv`, from which `lieint list` and the commands report how long they take,
+except with `--quick`.
+`--only "run toutatis" "check pendulum"` measures these and writes no report.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ from typing import Any
 
 from lib import command, report
 
-COSTS = Path(__file__).parents[1] / "lieint_jax" / "app" / "command" / "costs.csv"
+COSTS = Path(__file__).parents[1] / "lieint_jax" / "command" / "costs.csv"
 HEAD = "command,first_s,again_s,memory_gb,disk_mb"
 CORES, BAR = 2, 120.0  # a command of default size should take two minutes at most
 
@@ -34,7 +34,7 @@ def main() -> None:
     parser.add_argument("--only", nargs="+", metavar="NAME", help="the commands to measure")
     options = command.parsed(parser)
     os.sched_setaffinity(0, sorted(os.sched_getaffinity(0))[:CORES])
-    names = options.only or (["run pendulum", "study gyro"] if options.quick else command_names())
+    names = options.only or (["run pendulum", "run gyro"] if options.quick else command_names())
     data = command.under_load(lambda: {"rows": [measured(name) for name in names]})
     if options.only:
         print("\n\n".join(render(data)))
@@ -46,14 +46,10 @@ def main() -> None:
 
 def command_names() -> list[str]:
     """All commands that need no argument but a name."""
-    from lieint_jax import _discover, systems
-    from lieint_jax.app import scenarios, studies
-    from lieint_jax.app.command.figures import FIGURES
+    from lieint_jax import _discover, examples, systems
 
     return [
-        *(f"run {name}" for name in scenarios.scenario_names()),
-        *(f"study {name}" for name in _discover.public_modules(studies)),
-        *(f"figure {number}" for number in FIGURES),
+        *(f"run {name}" for name in _discover.public_modules(examples)),
         *(f"check {name}" for name in _discover.modules_with("examples", systems)),
         "check",
     ]
@@ -78,7 +74,7 @@ def _run(name: str, folder: Path, turn: str) -> tuple[float, float, bool]:
     where = folder / turn
     where.mkdir()
     environment = os.environ | {"XDG_CACHE_HOME": str(folder / "cache")}
-    call = [sys.executable, "-m", "lieint_jax.app.command.cli", *name.split()]
+    call = [sys.executable, "-m", "lieint_jax.command.cli", *name.split()]
     begin = time.perf_counter()
     process = subprocess.Popen(call, cwd=where, env=environment, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
     _, status, usage = os.wait4(process.pid, 0)
@@ -98,7 +94,7 @@ def render(data: dict[str, Any]) -> list[str]:
     return [
         f"Seconds of each command on {CORES} cores, load {before:.1f} to {after:.1f}",
         report.table(["", "first time, s", "again, s", "memory, GB", "written, MB"], cells),
-        f"Scenarios, studies and figures that take longer than {BAR:.0f} s: {late}. Failed: {failed}.",
+        f"Examples that take longer than {BAR:.0f} s: {late}. Failed: {failed}.",
     ]
 
 

@@ -39,7 +39,7 @@ def count(call):
     own = sum(file.startswith(os.path.join(root, "native")) for file, _ in entered)
     print(len({file for file, _ in entered}), len(entered), own)
 def command(*arguments):
-    from lieint_jax.app.command import cli
+    from lieint_jax.command import cli
     os.chdir(folder.name)
     with contextlib.redirect_stdout(io.StringIO()):
         cli.main(arguments)

@@ -13,6 +13,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import jax
+import jax.numpy as jnp
 import numpy as np
 
 from lieint_jax import schemes
@@ -24,6 +25,7 @@ __all__ = ["Change", "Published", "Row", "certificate", "changes", "new_path", "
 
 _WIDTH = 34  # smallest width of the column of names
 _MAX_MISFIT = 3  # published errors; a larger difference is noted
+_ROUNDING = 64  # eps: an energy below this part of the kinetic energy is 0
 _CERTIFIED = 10_000  # the largest number of steps of a certificate
 _ROUND_OFF = "conserved to round-off"
 
@@ -105,7 +107,8 @@ class Change(NamedTuple):
 def changes(run: Run) -> list[Change]:
     """The energy of a run, less the work that its states count, and the components of its momentum map.
 
-    Energy is relative to its greatest absolute value, momentum to its initial length, each of the same member.
+    Energy is relative to its greatest absolute value, or to the greatest kinetic energy where it is 0 to round-off;
+    momentum is relative to its initial length, each of the same member.
     """
     # A composition has the name of its step in parentheses; what stands in brackets, such as a drift, promises nothing.
     scheme = run.step.name.rpartition("(")[2].partition("[")[0]
@@ -119,8 +122,11 @@ def changes(run: Run) -> list[Change]:
 
     found = []
     if run.system.hamiltonian:
-        H, name = np.asarray(run.map(_energy)), "energy" if run.state.work is None else "energy less work"
-        found.append(Change(f"{name}, relative", H, _or_one(abs(H).max(axis=0)), promise(name)))
+        H, K = map(np.asarray, run.map(_energies))
+        greatest, kinetic = abs(H).max(axis=0), abs(K).max(axis=0)
+        size = np.where(greatest <= _ROUNDING * np.finfo(H.dtype).eps * kinetic, kinetic, greatest)
+        name = "energy" if run.state.work is None else "energy less work"
+        found.append(Change(f"{name}, relative", H, _or_one(size), promise(name)))
     Phi = np.asarray(run.map(_momentum))
     if Phi.shape[-1]:
         size = _or_one(np.linalg.norm(Phi[0], axis=-1, keepdims=True))
@@ -198,8 +204,10 @@ def new_path(name: str | Path, resume: bool = False) -> Path:
     return last if resume else path
 
 
-def _energy(step: Step, state: State) -> Any:
-    return energy_less_work(step.system, state)
+def _energies(step: Step, state: State) -> Any:
+    """The energy less the work, and the kinetic energy."""
+    energy = step.system.energy
+    return energy_less_work(step.system, state), energy(state) - energy(state._replace(p=jnp.zeros_like(state.p)))
 
 
 def _momentum(step: Step, state: State) -> Any:

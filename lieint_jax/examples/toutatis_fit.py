@@ -61,14 +61,7 @@ def main(
     data = {name: jnp.asarray(x) for name, x in data.items()}
     given = {name: published_params(*state, data) for name, state in STATES.items()}
     zhao, takahashi = given.values()
-    unknowns = {
-        "attitude": inference.Unknown(("attitude x", "attitude y", "attitude z"), takahashi["attitude"], scatter=10.0),
-        "inertia": inference.Unknown(("Jx/Jz", "Jy/Jz"), takahashi["inertia"], li.fitting.inertia_ratios, 0.15),
-        "rate": inference.Unknown(("rate x", "rate y", "rate z"), takahashi["rate"], scatter=5.0),
-    }
-    options = {"derived": derived, "quantities": QUANTITIES, "simulate": simulate}
-    noise = inference.StudentT((8.0, 8.0), 0.01, 100.0)  # °, °/d: first guess, bounds
-    problem = inference.Problem(unknowns, errors, data, noise, **options)
+    problem = spin_problem(data, takahashi)
 
     # from both published states, from the first with normal errors, and from random states about the second
     random = inference.random_starts(problem, 2 * sets - 3, 17)  # as many fits as of synthetic sets: one program
@@ -133,6 +126,18 @@ def fixes():
     days = (np.array([*dates, EPOCH], "datetime64[s]") - np.datetime64(dates[MIDDLE])) / np.timedelta64(1, "D")
     q = jax.vmap(so3.from_euler_313)(jnp.deg2rad(np.vstack([numbers[:, :3], CHANGE_2[1]])))
     return dates, days[:-1], days[-1], np.asarray(q), numbers[:, 3:]
+
+
+def spin_problem(data, guess):
+    """The fit to fixes; its random starts are about a guess."""
+    unknowns = {
+        "attitude": inference.Unknown(("attitude x", "attitude y", "attitude z"), guess["attitude"], scatter=10.0),
+        "inertia": inference.Unknown(("Jx/Jz", "Jy/Jz"), guess["inertia"], li.fitting.inertia_ratios, 0.15),
+        "rate": inference.Unknown(("rate x", "rate y", "rate z"), guess["rate"], scatter=5.0),
+    }
+    noise = inference.StudentT((8.0, 8.0), 0.01, 100.0)  # °, °/d: first guess, bounds
+    options = {"derived": derived, "quantities": QUANTITIES, "simulate": simulate}
+    return inference.Problem(unknowns, errors, data, noise, **options)
 
 
 def published_params(angles, rate, data):

@@ -7,8 +7,6 @@ A `Problem` declares the unknowns, the errors of a model against data, their noi
 3. a test of the reported errors on synthetic data: `synthetic`, `coverage`;
 4. the enlargement of the errors, by the scatter in synthetic data and by χ²: `enlarge_errors`;
 5. a prediction by members drawn from the estimate: `draw_members`, `predict`.
-
-`lieint study mine.py` runs a `Problem` of yours, and reports on it.
 """
 
 from __future__ import annotations
@@ -510,7 +508,7 @@ def predict(problem: Problem, function: Callable[[Params], Array], x: ArrayLike)
 
 
 class Inference(NamedTuple):
-    """What `infer` returns. `text` and `draw` need nothing else, so that a file of it can be drawn without the problem.
+    """What `infer` returns: all that a report and a picture need, without the problem.
 
     Attributes:
         title, names, labels: the first line, the names of parameters and derived quantities, and of the axes.

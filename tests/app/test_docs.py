@@ -1,7 +1,9 @@
-"""The pages of the site are true: their Python runs and prints what they show, their commands and scenarios parse."""
+"""The pages of the site are true: their Python runs and prints what they show, and their commands parse."""
 
 import ast
 import contextlib
+import importlib.util
+import inspect
 import io
 import re
 import runpy
@@ -14,8 +16,8 @@ import pytest
 from documents import blocks, words
 
 import lieint_jax as li
-from lieint_jax.app import scenarios
-from lieint_jax.app.command import cli, meshes
+from lieint_jax import examples
+from lieint_jax.command import cli, scripts
 
 PAGES = Path(__file__).parents[2] / "docs" / "pages"
 TEXTS = {path.relative_to(PAGES).as_posix(): path.read_text(encoding="utf-8") for path in sorted(PAGES.rglob("*.md"))}
@@ -26,7 +28,7 @@ LONG = {  # expensive pages, which run in shards
     "why.md",
     *(f"howto/{x}.md" for x in ("bodies", "chaos", "fits", "group", "output", "potential", "rates", "rods")),
     *(f"howto/{x}.md" for x in ("sampling", "satellite", "scheme", "shape", "system", "tides", "torque")),
-    *(f"howto/{x}.md" for x in ("covariance", "equilibria", "kalman", "optimal_control")),
+    *(f"howto/{x}.md" for x in ("covariance", "equilibria", "fit_my_data", "kalman", "optimal_control")),
     "tutorials/own_flyby.md",
 }
 
@@ -83,46 +85,108 @@ def commands():
                 yield name, found[1].replace("…", "")
 
 
+OWN = {
+    "mine.py": ("reference/command_line.md", "complete one"),
+    "/scripts/parts.py": ("howto/clusters.md", "`parts.py`"),
+}
+
+
+def own_script(name):
+    """A script of `OWN`."""
+    page, before = OWN[name]
+    return blocks(TEXTS[page].partition(before)[2], "py")[0][1]
+
+
 @pytest.mark.parametrize(("page", "command"), list(commands()))
-def test_commands_in_pages_parse_and_name_existing_files(page, command):
-    words = shlex.split(command)
-    if "--help" in words or words in (["run"], ["check"], ["figure"], ["study"]):  # the name of a command alone
-        with pytest.raises(SystemExit, match=r"^0$"):
-            cli._parser().parse_args([words[0], "--help"])
-        return
-    options = cli._parser().parse_args(words)
-    scenario = getattr(options, "scenario", "NAME")
-    if getattr(options, "set", None) and scenario in scenarios.scenario_names():
-        assert scenarios.load(scenario, options.set)
-    assert scenario in (*scenarios.scenario_names(), "NAME", "SCENARIO") or scenario.endswith(".toml")
+def test_commands_in_pages_parse_and_name_existing_scripts(page, command, capsys):
+    name, *options = shlex.split(command.partition(" > ")[0])
+    if name != "run":
+        assert cli._read([name, *options]) or "--help" in options
+    elif options and options[0] not in ("NAME", "FILE.py"):  # which stand for a name
+        scope = {"__name__": "page"}
+        if options[0] in OWN:
+            exec(compile(own_script(options[0]), options[0], "exec"), scope)
+        script = scope["main"] if options[0] in OWN else scripts.example(options[0]).main
+        assert cli._options(script, "lieint run", options[1:]) or "--help" in options
 
 
-@pytest.mark.parametrize("name", [name for name, text in TEXTS.items() if blocks(text, "toml")])
-def test_scenarios_in_pages_are_valid(name):
-    import tomllib
+def test_the_script_of_the_page_of_the_command_line_runs_and_draws(tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    Path("mine.py").write_text(own_script("mine.py"), encoding="utf-8")
+    assert cli.main(["run", "mine.py", "--members", "3", "--dt", "0.04"]) == 0
+    report = capsys.readouterr().out
+    assert "3 member(s), 1000 steps of 0.04 = 40" in report
+    assert "3 of 3 members converged at every step" in report
+    assert Path("bodies-errors.png").stat().st_size > 10_000
+    assert float(abs(li.open("bodies.zarr").energy_error()).max()) < 1e-13
 
-    for _, code in blocks(TEXTS[name], "toml"):
-        table = tomllib.loads(code)
-        if "parts" in table:
-            assert len(scenarios.validate(meshes.Parts, table, name).parts) > 1
-        elif ".py:" not in table["system"]:  # whose kind another test runs
-            assert scenarios.parse(table, name).members >= 1
 
-
-def test_the_page_of_the_command_line_has_every_command_and_option():
-    """They are made from the parser; the table at the top of the page is written by hand."""
+def test_the_page_of_the_command_line_has_every_command_and_argument():
+    """They are made from the functions of the commands; the table at the top of the page is written by hand."""
     pytest.importorskip("mkdocs")
-    hook = runpy.run_path(str(PAGES.parent / "hooks" / "scenario_keys.py"))
+    hook = runpy.run_path(str(PAGES.parent / "hooks" / "commands.py"))
     page, rows = TEXTS["reference/command_line.md"], hook["options"]().splitlines()
     assert "<!-- lieint options -->" in page
-    [commands] = [action for action in cli._parser()._actions if action.choices and not action.option_strings]
-    for name, command in commands.choices.items():
-        assert f"### `lieint {name}`" in rows
-        assert f"| `lieint {name}" in page
-        for action in command._actions:
-            for option in action.option_strings:
-                assert any(option in row.split("`")[1::2] or f"`{option} " in row for row in rows), option
-    assert all(row.rstrip("| ").count("|") == 2 for row in rows if row.startswith("| `"))  # each has its help
+    assert all(f"| `lieint {name}" in page for name in cli.COMMANDS)
+    assert [row for row in rows if row.startswith("#")] == [
+        f"### `lieint {name}`" for name in cli.COMMANDS if name != "run"
+    ]
+    named = [row.split("`")[1].split()[0] for row in rows if row.startswith("| `")]
+    for name in cli.COMMANDS:
+        for argument in inspect.signature(cli._function(name)).parameters if name != "run" else ():
+            option = hook["OWN_NAMES"].get(argument, argument)
+            assert f"--{option}" in named or argument.upper() in named, argument
+    assert all(row.split("|")[2].strip() for row in rows if row.startswith("| `"))  # each has its help
+    listed = hook["on_page_markdown"]("<!-- lieint list -->")
+    assert [name for name in scripts.names() if f"| [`{name}`](../gallery/{name}.md) | " not in listed] == []
+
+
+@pytest.fixture
+def gallery(monkeypatch, tmp_path):
+    """The hook that makes the gallery, with a cache and examples of its own."""
+    pytest.importorskip("mkdocs")
+    spec = importlib.util.spec_from_file_location("gallery", PAGES.parent / "hooks" / "gallery.py")
+    hook = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(hook)
+    monkeypatch.setattr(hook, "CACHE", tmp_path / "cache")
+    return hook
+
+
+def test_a_script_of_the_gallery_runs_once_until_it_or_the_package_changes(gallery, tmp_path, monkeypatch):
+    runs = []
+
+    def run(name, folder):
+        runs.append(name)
+        (folder / "a.png").write_bytes(b"picture")
+        return f"the report of run {len(runs)}\npictures: a.png a.pdf\n"
+
+    monkeypatch.setattr(gallery, "_run", run)
+    first = gallery.results("pendulum")
+    assert gallery.results("pendulum") == first
+    assert (first / "picture.png").read_bytes() == b"picture"
+    page = gallery._page("pendulum", first)
+    assert "\nlieint run pendulum" in page
+    assert "the report of run 1" in page
+    assert Path(examples.__path__[0], "pendulum.py").read_text(encoding="utf-8").rstrip() in page
+    monkeypatch.setattr(gallery, "SIZES", {"pendulum": "--members 2"})
+    assert gallery.results("pendulum") != first
+    assert runs == ["pendulum", "pendulum"]
+    assert not first.exists()
+
+
+def test_a_script_that_fails_fails_the_build_with_its_message(gallery, tmp_path, monkeypatch):
+    from mkdocs.exceptions import PluginError
+
+    monkeypatch.setattr(gallery, "SIZES", {"pendulum": "--members none"})
+    with pytest.raises(PluginError, match=r"(?s)lieint_jax.examples.pendulum --members none failed:.*--members"):
+        gallery.results("pendulum")
+    assert not list((tmp_path / "cache").glob("*/*"))
+
+
+def test_every_option_of_the_gallery_is_one_of_its_script(gallery):
+    assert set(gallery.SIZES) <= set(scripts.names())
+    for name, options in gallery.SIZES.items():
+        assert cli._options(scripts.example(name).main, name, shlex.split(options))
 
 
 def test_the_page_which_scheme_lists_every_scheme():

@@ -5,6 +5,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
+import lieint_jax as li
 from lieint_jax.fitting import tumbling
 from lieint_jax.groups import so3
 
@@ -31,6 +32,18 @@ def test_the_precession_is_that_of_the_axis_which_the_momentum_circles():
         assert float(precession) == pytest.approx(
             2 * np.pi * moment / float(jnp.linalg.norm(state.p)), rel=1e-12, abs=0
         )
+
+
+@pytest.mark.long
+@pytest.mark.parametrize(
+    ("J", "rate"), [([3.0836, 3.235, 1.0], [0.25, 0.59, -1.72]), ([0.61, 0.965, 1.0], [0.3, 0.2, 1.0])]
+)
+def test_mean_periods_are_those_of_a_trajectory_of_a_long_and_of_a_short_axis_mode(J, rate):
+    body = li.systems.rigid_body(J)
+    state, scheme = body.state(angular_velocity=rate), li.schemes.exact(body)
+    precession, rotation = np.asarray(jax.jit(tumbling.mean_periods)(body, state))
+    run = li.run(scheme, state, rotation / 40, 4000, progress=False)
+    np.testing.assert_allclose([precession, rotation], li.measure.periods(run)[:2], rtol=3e-9)  # the mean rate: 6e-10
 
 
 @pytest.mark.long

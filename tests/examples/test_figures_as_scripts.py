@@ -50,6 +50,7 @@ def is_picture(path):
     return path.read_bytes().startswith(b"\x89PNG")
 
 
+@pytest.mark.paper("3.3: Figs. 1, 2", "Poisson errors of three κ's", "examples/figures_1_and_2.py")
 @pytest.mark.parametrize(("body", "kappa"), LARGEST)
 def test_figure_1_largest_poisson_errors(body, kappa):
     sigma, energy = errors(Case(body, kappa, 0.05))
@@ -89,6 +90,7 @@ def test_figure_2_is_written_with_its_table(tmp_path, capsys):
     assert is_picture(tmp_path / "mine.png")
 
 
+@pytest.mark.paper("App. A: showtop", "tips of the body axes, with H and σ", "examples/figure_showtop.py")
 def test_showtop_draws_the_tips_of_the_body_axes(tmp_path, monkeypatch, capsys):
     """The tips are those of the exact motion, up to the error of the step at t = 50, 0.011."""
     drawn, draw = [], figure_showtop.draw
@@ -113,6 +115,7 @@ def test_panels_are_those_of_the_captions(figure):
         assert (panel.dt, panel.lag, panel.Phi) == printed
 
 
+@pytest.mark.paper("6.3, Figs. 3 to 5", "delay plots", "examples/figures_3_to_5.py")
 @pytest.mark.parametrize("name", VARIATIONS)
 def test_figures_3_4_5_have_the_variations_of_their_captions(name):
     ours, printed = VARIATIONS[name]

@@ -9,7 +9,7 @@ import pytest
 from lights import directions
 from scipy.spatial.transform import Rotation
 
-from lieint_jax import measure, shapes
+from lieint_jax import integrate, measure, schemes, shapes, systems
 from lieint_jax.groups import so3
 
 ONE = jnp.array([1.0, 0.0, 0.0, 0.0])
@@ -144,3 +144,38 @@ def test_states_are_classified_by_the_change_that_leads_to_them():
     assert measure.classify_light(found, best, every).tolist() == [0, 17, 50, 95]
     assert measure.classify_light(found._replace(rate=-found.rate), best, every)[0] == -1
     assert found.select(0).distance(best) == pytest.approx(0, abs=1e-6)
+
+
+def test_images_of_the_mirror_solution_are_named_from_the_true_one():
+    """A first session may prefer the mirror solution: its image in the mirror is the true motion."""
+    _, sun, observer = directions(5, 1)
+    every = measure.light_changes(box(), sun, observer)
+    truth = measure.SpinStates(
+        np.array([[0.6, 0.2, -0.5, 0.6]]), np.array([[26.0, 15, 10]]), np.array([[0.6, 1.2, 1.4]])
+    )
+    own = [change for change in every if change.symmetry == 0]
+    mirror = next(change for change in own if change.name == "mirror")(truth)
+    images = measure.SpinStates(*map(np.concatenate, zip(*(change(mirror) for change in own), strict=True)))
+    names = [every[k].name for k in measure.classify_light(images, truth, every)]
+    assert sorted(names) == sorted(change.name for change in own)
+    assert names[[change.name for change in own].index("as it is")] == "mirror"
+    assert names[[change.name for change in own].index("mirror")] == "as it is"
+
+
+@pytest.mark.long
+def test_every_change_of_a_motion_is_a_motion():
+    """Rotated in space, relabeled in the body: still a solution of Euler's equations, with the moments relabeled."""
+    _, sun, observer = directions(4, 1)
+
+    @jax.jit
+    def later(q, rate, J):
+        body = systems.RigidBody(J)
+        state = body.state(q, angular_velocity=jnp.deg2rad(rate))
+        return integrate(schemes.preprocessed(body, 6), state, 7.0 / 20, 20).state.q[-1]
+
+    begin = measure.SpinStates(unit(0.6, 0.2, -0.5, 0.6)[None], np.array([[26.0, 15, 10]]), np.array([[0.6, 1.2, 1.4]]))
+    end = np.asarray(later(*(jnp.asarray(x[0]) for x in begin)))
+    every = measure.light_changes(box(), sun, observer)
+    for change in every[::5]:
+        found = np.asarray(later(*(jnp.asarray(x[0]) for x in change(begin))))
+        assert abs(change.attitudes(end[None])[0] @ found) == pytest.approx(1, abs=1e-14)

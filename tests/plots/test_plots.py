@@ -13,7 +13,7 @@ import pytest
 
 import lieint_jax as li
 from lieint_jax import plots
-from lieint_jax.app.studies import gyro
+from lieint_jax.examples import gyro
 from lieint_jax.plots import runs
 
 ROOT = Path(li.__file__).parent
@@ -68,36 +68,35 @@ def test_eight_curves_have_distinct_colors_and_marks_and_a_ninth_is_refused():
     assert not set(places[0]) & set(places[4])  # curves that coincide show the marks of both
 
 
-def call_of(node, name):
-    """Whether a node is a call of plots.NAME."""
-    return isinstance(node, ast.Call) and ast.unparse(node.func) == f"plots.{name}"
+def calls(nodes, name):
+    """Whether one of the nodes is a call of plots.NAME."""
+    called = [ast.unparse(node.func) for node in nodes if isinstance(node, ast.Call)]
+    return any(function.rpartition("li.")[2] == f"plots.{name}" for function in called)
 
 
 @pytest.mark.long
 def test_every_function_that_makes_a_figure_has_the_style():
-    """Pictures of scenarios have it from their decorator `picture`."""
     made = 0
     for path in FILES:
         for function in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
-            if not isinstance(function, ast.FunctionDef):
-                continue
-            nodes = [*ast.walk(function)]
-            made += any(ast.unparse(x).startswith("picture(") for x in function.decorator_list)
-            if any(call_of(n, "figure") for n in nodes):
-                inside = [item.context_expr for n in nodes if isinstance(n, ast.With) for item in n.items]
-                decorators = [x for n in nodes if isinstance(n, ast.FunctionDef) for x in n.decorator_list]
-                assert any(call_of(n, "style") for n in (*decorators, *inside)), (path, function.name)
+            if isinstance(function, ast.FunctionDef) and calls(nodes := [*ast.walk(function)], "figure"):
+                inside = [item.context_expr for node in nodes if isinstance(node, ast.With) for item in node.items]
+                decorators = [x for node in nodes if isinstance(node, ast.FunctionDef) for x in node.decorator_list]
+                assert calls([*decorators, *inside], "style"), (path, function.name)
                 made += 1
-    assert made > 30
+    assert made > 40
 
 
 @pytest.mark.long
 def test_figures_are_saved_in_one_place_and_never_by_pyplot():
+    places = set()
     for path in FILES:
         for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
             name = node.attr if isinstance(node, ast.Attribute) else getattr(node, "module", None) or ""
             assert "pyplot" not in name, path
-            assert name not in ("savefig", "set_size_inches") or path == ROOT / "app" / "plots.py", path
+            if name in ("savefig", "set_size_inches"):
+                places.add(path)
+    assert places == {ROOT / "plots" / "_axes.py"}
 
 
 @pytest.mark.long
@@ -307,22 +306,20 @@ def apart(labels):
 
 
 @pytest.mark.long
-def test_labels_of_the_ticks_of_study_gyro_do_not_overlap():
+def test_labels_of_the_ticks_of_the_example_gyro_do_not_overlap():
     rng = np.random.default_rng(0)
-    truth = np.array([0.3, 0.2, 0.4, 0.6, 0.8, 0.0, 0.0, 0.0])
-    estimates = truth + 5e-4 * rng.normal(size=(20, 8))
-    t = np.linspace(0.5, 40, 80)
+    truth, sigma = np.array([0.6, 0.8]), 5e-4
+    estimates = truth + sigma * rng.normal(size=(20, 2))
+    t = gyro.EVERY * np.arange(1, gyro.READINGS + 1)
     readings = np.stack([np.sin(t / 9), np.cos(t / 7), np.sin(t / 5)], axis=1)
-    sigmas, covariance = np.full((20, 8), 5e-4), 5e-4**2 * np.eye(8)
-    trials = gyro.GyroTrials(None, estimates, truth, sigmas, covariance, np.ones(8), 0.95, (t, readings, readings))
-    fig = gyro.draw(trials)
+    fig = gyro.draw(readings, readings, estimates, truth, sigma**2 * np.eye(2))
     with plots.style():
         fig.draw_without_rendering()
     for ax in fig.axes:
         assert apart(ax.get_xticklabels())
         assert apart(ax.get_yticklabels())
     assert [text.get_text() for text in fig.axes[0].get_legend().get_texts()] == ["x", "y", "z", "readings"]
-    inside = np.linalg.norm((estimates - truth)[:, 3:5] / 5e-4, axis=1) <= np.sqrt(5.991)  # χ² of 95 %
+    inside = np.linalg.norm((estimates - truth) / sigma, axis=1) <= np.sqrt(5.991)  # χ² of 95 %
     assert f"{inside.sum()} of 20 inside" in fig.axes[1].get_legend().get_texts()[-1].get_text()
 
 
@@ -381,3 +378,45 @@ def test_five_digits_stand_at_an_axis_without_a_factor_and_do_not_touch():
         assert "10000" in "".join(text.get_text() for text in shown)
         boxes = [text.get_window_extent() for text in shown]
         assert all(a.x1 < b.x0 for a, b in itertools.pairwise(boxes))
+
+
+def test_a_histogram_counts_every_member_and_those_without_a_value():
+    """The highest bars are the sums of the parts; `shown` leaves out the tail; no value is an empty panel."""
+    x = np.append(np.linspace(0.0, 1.0, 101), np.nan)
+    _, axes = plots.figure(3)
+    every, tail, empty = axes[0]
+    plots.histogram(every, {"early": x[:40], "late": x[40:]}, "fall (s)", {"mean": 0.5})
+    early, late = every.containers
+    assert sum(bar.get_height() for bar in early) == 40
+    assert sum(bar.get_height() for bar in late) == 61
+    assert max(bar.get_y() + bar.get_height() for bar in (*early, *late)) < 10
+    assert every.get_xlabel() == "fall (s); 1 of 102 have none"
+    assert [text.get_text() for text in every.get_legend().get_texts()] == ["early", "late", "mean"]
+    plots.histogram(tail, {"": x[:101]}, "fall (s)", shown=0.9)
+    assert sum(bar.get_height() for bar in tail.patches) == 91
+    assert tail.get_legend() is None
+    plots.histogram(empty, {"": x[-1:]}, "fall (s)")
+    assert not empty.patches
+
+
+def test_paths_are_drawn_in_as_many_dimensions_as_the_panel_has():
+    path = np.arange(6.0).reshape(2, 3)
+    fig, axes = plots.figure(1)
+    for ax in (axes[0, 0], fig.add_subplot(projection="3d")):
+        plots.space_paths(ax, {"center": path, "tip": path + 1})
+        assert [line.get_label() for line in ax.lines] == ["center", "tip"]
+        assert len({line.get_color() for line in ax.lines}) == 2
+        np.testing.assert_array_equal(
+            np.stack(getattr(ax.lines[0], "get_data_3d", ax.lines[0].get_data)()).T[:, 1], path[:, 1]
+        )
+
+
+def test_lines_of_error_against_cost_accept_styles():
+    _, axes = plots.figure()
+    curves = {"ours": (np.array([1.0, 2.0]), np.array([1e-2, 1e-4])), "theirs": (np.array([1.0, 3.0]), np.ones(2))}
+    ax = plots.loglog_lines(axes[0, 0], curves, "cost", "error", {"theirs": {"ls": ":"}})
+    ours, theirs = ax.get_lines()
+    np.testing.assert_array_equal(ours.get_xydata(), [[1, 1e-2], [2, 1e-4]])
+    assert ours.get_marker() != theirs.get_marker()
+    assert (ours.get_linestyle(), theirs.get_linestyle()) == ("-", ":")
+    assert (ax.get_xscale(), ax.get_ylabel()) == ("log", "error")
