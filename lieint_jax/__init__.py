@@ -40,7 +40,7 @@ A system and a scheme make a step; a step and states make a run.
 
 `run` and `integrate` save every step by default: `save_every` changes that.
 Attitudes are unit quaternions (w, x, y, z), body to space. Momenta are in the axes of space. Any consistent units may
-be used. `lieint list` on the command line lists systems, schemes and scenarios.
+be used. `lieint list` on the command line lists examples, systems and schemes.
 """
 
 import importlib

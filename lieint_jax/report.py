@@ -182,16 +182,20 @@ def certificate(run: Run) -> str:
     return f"{head}\n{certify(one.step, state, run.dt, steps)}"
 
 
-def new_path(name: str | Path) -> Path:
+def new_path(name: str | Path, resume: bool = False) -> Path:
     """A path that does not exist: `name`, or the first of NAME-2, NAME-3, … before its suffix, that is free.
 
     Pictures next to it, NAME-*.png, count as well, so that those of an earlier run are not replaced.
+
+    Args:
+        name: the wanted path.
+        resume: return the last of these paths that exists, whose run is to be continued; `name` if none does.
     """
-    path, k = Path(name), 1
+    path, last, k = Path(name), Path(name), 1
     while path.exists() or any(path.parent.glob(f"{path.stem}-[a-z]*.png")):
-        k += 1
+        last, k = path, k + 1
         path = Path(name).with_stem(f"{Path(name).stem}-{k}")
-    return path
+    return last if resume else path
 
 
 def _energy(step: Step, state: State) -> Any:

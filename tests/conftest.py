@@ -79,7 +79,7 @@ def lieint(capsys, fresh_folder):
 
     `lieint.refuse` gives the error message of a call that ends with 2; `lieint.drew` asserts that files are pictures.
     """
-    from lieint_jax.app.command import cli
+    from lieint_jax.command import cli
 
     def end(code, arguments):
         capsys.readouterr()

@@ -72,7 +72,7 @@ def main(
         certificate: measure what the scheme conserves along the first member, in even steps.
     """
     jax.config.update("jax_enable_x64", True)
-    out, known = out or li.report.new_path("apophis.zarr"), np.array(SPIN[spin], float)
+    out, known = out or li.report.new_path("apophis.zarr", resume), np.array(SPIN[spin], float)
     a = PERIGEE / (1 - ECCENTRICITY)
     orbit = li.orbits.shared(li.orbits.kepler(GM, a, ECCENTRICITY, *np.deg2rad(ANGLES)))
     spins, redrawn = jax.jit(jax.vmap(lambda k: draw(jax.random.key(seed), k, known)))(jnp.arange(members))

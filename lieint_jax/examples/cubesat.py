@@ -55,7 +55,7 @@ def main(
         pictures: draw the rates, angles and wheels, and the work of each law.
     """
     jax.config.update("jax_enable_x64", True)
-    out = out or li.report.new_path("cubesat.zarr")
+    out = out or li.report.new_path("cubesat.zarr", resume)
     so3, radius = li.groups.so3, 1e3 * li.orbits.EARTH_RADIUS
     kepler = li.orbits.kepler(
         1e9 * li.orbits.EARTH_GM,

@@ -68,7 +68,7 @@ def main(
         certificate: measure what the scheme conserves along the first member.
     """
     jax.config.update("jax_enable_x64", True)
-    out = out or li.report.new_path("didymos.zarr")
+    out = out or li.report.new_path("didymos.zarr", resume)
     noise = jax.random.normal(jax.random.key(seed), (members, 4, 3)).at[0].set(0.0)
     step, states = jax.jit(jax.vmap(pair, (0, None)))(noise, speed_change / 1000)
     run = li.run(step, states, dt, steps, save_every=2, own_step=True, store=out, resume=resume)

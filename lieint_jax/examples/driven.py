@@ -49,7 +49,7 @@ def main(
         certificate: measure what the scheme conserves along the first member.
     """
     jax.config.update("jax_enable_x64", True)
-    out, so3 = out or li.report.new_path("driven.zarr"), li.groups.so3
+    out, so3 = out or li.report.new_path("driven.zarr", resume), li.groups.so3
     orbit = li.orbits.kepler(MU, SEMI_MAJOR_AXIS, eccentricity, **ANGLES)
     satellite = li.systems.gravity_gradient(INERTIA, orbit)
     step = li.schemes.top_energy_momentum(satellite, li.maps.kappa_cayley)

@@ -42,7 +42,7 @@ def main(
         certificate: measure what the scheme conserves along the first member.
     """
     jax.config.update("jax_enable_x64", True)
-    out = out or li.report.new_path("heavy_top.zarr")
+    out = out or li.report.new_path("heavy_top.zarr", resume)
     so3 = li.groups.so3
     top = li.systems.heavy_top(INERTIA, WEIGHT)
     step = li.schemes.nystrom(top, 6)

@@ -124,7 +124,7 @@ def main(
             f"members = {members} must be a multiple of angles = {angles}, and steps = {steps} whole orbits of "
             f"{PER_ORBIT} steps"
         )
-    out, orbits = out or li.report.new_path("hyperion.zarr"), steps // PER_ORBIT
+    out, orbits = out or li.report.new_path("hyperion.zarr", resume), steps // PER_ORBIT
     step, starts = planar_step_and_starts(members, angles, greatest_rate)
     dt, at_rest = 2 * np.pi / PER_ORBIT, starts._replace(work=jnp.zeros(members))
     run = li.run(step, at_rest, dt, steps, save_every=PER_ORBIT, store=out, resume=resume)

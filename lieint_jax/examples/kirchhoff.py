@@ -45,7 +45,7 @@ def main(
         certificate: measure what the scheme conserves along the first member.
     """
     jax.config.update("jax_enable_x64", True)
-    out = out or li.report.new_path("kirchhoff.zarr")
+    out = out or li.report.new_path("kirchhoff.zarr", resume)
     body = li.systems.kirchhoff(semi_axes)
     step = li.schemes.group_midpoint(body, li.maps.exponential)
     noise = jax.random.normal(jax.random.key(seed), (members, 6)).at[0].set(0.0)

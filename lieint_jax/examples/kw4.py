@@ -56,7 +56,7 @@ def main(
         certificate: measure what the scheme conserves along the first member.
     """
     jax.config.update("jax_enable_x64", True)
-    out = out or li.report.new_path("kw4.zarr")
+    out = out or li.report.new_path("kw4.zarr", resume)
     attitudes = li.attitude.from_euler("ZXZ", np.deg2rad([[0.0, tilt, 0.0], [0.0, tilt, swing]]))
 
     def binary(noise):

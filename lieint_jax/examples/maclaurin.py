@@ -44,7 +44,7 @@ def main(
         certificate: measure what the scheme conserves along the first member.
     """
     jax.config.update("jax_enable_x64", True)
-    out = out or li.report.new_path("maclaurin.zarr")
+    out = out or li.report.new_path("maclaurin.zarr", resume)
     liquid = li.systems.incompressible_body(np.full(3, 0.2), li.systems.self_gravity(1.0, 1.0, 1.0))
     step = li.schemes.compose(li.schemes.additive(liquid, "incompressible"), 4)
     e = np.linspace(first, last, members)

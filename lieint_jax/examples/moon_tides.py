@@ -49,7 +49,7 @@ def main(
         certificate: measure what the scheme conserves along the first member.
     """
     jax.config.update("jax_enable_x64", True)
-    out = out or li.report.new_path("moon_tides.zarr")
+    out = out or li.report.new_path("moon_tides.zarr", resume)
 
     def pair(noise):
         lags = jnp.array([lag / DAY, 0.0]) * jnp.exp(SPREAD * noise)

@@ -43,7 +43,7 @@ def main(
         certificate: measure what the scheme conserves along the first member.
     """
     jax.config.update("jax_enable_x64", True)
-    out = out or li.report.new_path("pendulum.zarr")
+    out = out or li.report.new_path("pendulum.zarr", resume)
     bob = li.systems.pendulum(MASS, GRAVITY, DOWN)
     step = li.schemes.compose(li.schemes.sphere_midpoint(bob), 6)
 

@@ -44,7 +44,7 @@ def main(
         certificate: measure what the scheme conserves.
     """
     jax.config.update("jax_enable_x64", True)
-    out = out or li.report.new_path("pluto_charon.zarr")
+    out = out or li.report.new_path("pluto_charon.zarr", resume)
     lags = np.array([pluto_lag, charon_lag]) / DAY
     law, gravity = li.tides.constant_lag(G, MASSES, RADII, LOVE_NUMBERS, lags), li.potentials.point_masses(G, MASSES)
     bodies = li.systems.rigid_bodies(MASSES, np.tile(MOMENTS[:, None], 3), gravity, law)

@@ -47,7 +47,7 @@ def main(
         certificate: measure what the scheme conserves along the first member.
     """
     jax.config.update("jax_enable_x64", True)
-    out = out or li.report.new_path("pseudo_rigid.zarr")
+    out = out or li.report.new_path("pseudo_rigid.zarr", resume)
     ball = li.systems.pseudo_rigid_body(jnp.array(SECOND_MOMENTS), li.systems.mooney_rivlin(LAM, MU))
     step = li.schemes.additive(ball, rule)
     noise = jax.random.normal(jax.random.key(seed), (members, 4, 3)).at[0].set(0.0)

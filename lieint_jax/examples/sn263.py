@@ -61,7 +61,7 @@ def main(
         certificate: measure what the scheme conserves along the first member.
     """
     jax.config.update("jax_enable_x64", True)
-    out = out or li.report.new_path("sn263.zarr")
+    out = out or li.report.new_path("sn263.zarr", resume)
 
     def triple(noise):
         masses = jnp.asarray(MASSES) * (1 + SPREAD * noise * jnp.array([1.0, 0.0, 0.0]))

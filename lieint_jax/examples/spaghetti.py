@@ -49,7 +49,7 @@ def main(
         pictures: draw the shape of the first rod, and the energy with the work.
     """
     jax.config.update("jax_enable_x64", True)
-    out = out or li.report.new_path("spaghetti.zarr")
+    out = out or li.report.new_path("spaghetti.zarr", resume)
 
     def member(noise):
         stiffness, moment = (

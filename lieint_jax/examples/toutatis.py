@@ -59,7 +59,7 @@ def main(
         certificate: measure what the scheme conserves along the first member.
     """
     jax.config.update("jax_enable_x64", True)
-    out = out or li.report.new_path("toutatis.zarr")
+    out = out or li.report.new_path("toutatis.zarr", resume)
     body = li.systems.rigid_body(INERTIA)
     step = li.schemes.so3_midpoint(body, li.maps.kappa_symplectic)
     angles, rate = np.deg2rad(START[start])

@@ -47,7 +47,7 @@ def main(
         pictures: draw the changes of the mean rates.
     """
     jax.config.update("jax_enable_x64", True)
-    out = out or li.report.new_path("toutatis_flyby.zarr")
+    out = out or li.report.new_path("toutatis_flyby.zarr", resume)
     body = li.systems.rigid_body(INERTIA)
     state = body.state(so3.from_euler_313(jnp.deg2rad(jnp.array(ANGLES))), angular_velocity=np.deg2rad(RATE))
     speed = EARTH_SPEED * float(li.orbits.encounter_speed(*ORBIT))  # km/s at infinity

@@ -49,7 +49,7 @@ def main(
         certificate: measure what the scheme conserves along the first member.
     """
     jax.config.update("jax_enable_x64", True)
-    out, title = out or li.report.new_path("water.zarr"), TITLE.format(molecules)
+    out, title = out or li.report.new_path("water.zarr", resume), TITLE.format(molecules)
     molecule = li.potentials.water(model)
     inertias = np.tile(molecule.inertia, (molecules, 1))
     droplet = li.systems.rigid_bodies(np.full(molecules, molecule.mass), inertias, molecule.potential(molecules))

@@ -33,8 +33,6 @@ class Format(NamedTuple):
     what: str  # it holds, in words
     contents: Callable[[Path], list[str]]  # the lines that describe a file
     reader: str  # the call that reads it in Python, with {} for the file
-    # the key of a scenario that may be such a file, with further keys of its table and the kinds that have it
-    key: tuple[str, str, str] | None = None
 
 
 def describe(path: str | PathLike[str]) -> str:
@@ -51,15 +49,12 @@ def describe(path: str | PathLike[str]) -> str:
     if form not in FORMATS:
         known = ", ".join(FORMATS)
         raise ValueError(
-            f"{path_text(path)} has none of the formats {known}; lieint run runs a scenario, a .toml, and lieint info "
-            "describes the results"
+            f"{path_text(path)} has none of the formats {known}; lieint run runs a script, NAME.py, and lieint info "
+            "describes its results, NAME.zarr"
         )
-    what, contents, reader, key = FORMATS[form]
+    what, contents, reader = FORMATS[form]
     name = path_text(path.name)
     lines = [f"{path_text(path)}: {what}", *contents(path), "in Python: li.files." + reader.replace("{}", f'"{name}"')]
-    if key is not None:
-        which, more, kinds = key
-        lines.append(f'in a scenario of the kind {kinds}: {which} = {{file = "{name}"{more}}}')
     return "\n  ".join(lines)
 
 
@@ -126,20 +121,17 @@ def _robot(path: Path) -> list[str]:
     return ["masses, centers and inertias of its links"]
 
 
-_ORBIT, _LINK = ("orbit", "", "driven or satellite"), ("shape", ', link = "…"', "rigid_body")
-_SHAPE = ("shape", ", density = 1.0", "rigid_body, heavy_top, driven, satellite or bodies")
-_LOG = ("observation", ', time = "…"', "rigid_body")
 FORMATS = {
-    "OEM": Format("an orbit, CCSDS OEM", _orbit(read_oem), "read_oem({})", _ORBIT),
+    "OEM": Format("an orbit, CCSDS OEM", _orbit(read_oem), "read_oem({})"),
     "AEM": Format("attitudes, CCSDS AEM", _attitudes, "read_aem({})"),
-    "TLE": Format("mean elements of SGP4, TLE", _elements(read_tle), "read_tle({})", _ORBIT),
-    "OMM": Format("mean elements of SGP4, CCSDS OMM", _elements(read_omm), "read_omm({})", _ORBIT),
-    "Horizons": Format("an orbit of JPL Horizons", _orbit(read_horizons), "read_horizons({})", _ORBIT),
-    "shape": Format("a surface of triangles", _surface, "read_shape({}, density=…)", _SHAPE),
-    "URDF": Format("a robot, URDF", _robot, "read_urdf_inertia({}, link)", _LINK),
-    "MJCF": Format("a robot, MJCF", _robot, "read_mjcf_inertia({}, body)", _LINK),
+    "TLE": Format("mean elements of SGP4, TLE", _elements(read_tle), "read_tle({})"),
+    "OMM": Format("mean elements of SGP4, CCSDS OMM", _elements(read_omm), "read_omm({})"),
+    "Horizons": Format("an orbit of JPL Horizons", _orbit(read_horizons), "read_horizons({})"),
+    "shape": Format("a surface of triangles", _surface, "read_shape({}, density=…)"),
+    "URDF": Format("a robot, URDF", _robot, "read_urdf_inertia({}, link)"),
+    "MJCF": Format("a robot, MJCF", _robot, "read_mjcf_inertia({}, body)"),
     "PDB": Format("molecules, PDB", _molecules, "read_molecules({})"),
     "xyz": Format("a molecule, xyz", _molecules, "read_molecules({})"),
     "light curves": Format("light curves", _curves, "read_light_curves({})"),
-    "table": Format("a table of text", _table, "read_csv_log({}, time=…, rates=[…])", _LOG),
+    "table": Format("a table of text", _table, "read_csv_log({}, time=…, rates=[…])"),
 }

@@ -1,4 +1,4 @@
-"""Pictures of a run of any system, from its states alone, interpolated where they can be; scenarios have their own."""
+"""Pictures of a run of any system, from its states alone, interpolated where they can be."""
 
 from __future__ import annotations
 

@@ -14,7 +14,7 @@ from PIL import Image
 
 import lieint_jax as li
 from lieint_jax import plots
-from lieint_jax.app.command import cli, meshes
+from lieint_jax.command import cli
 from lieint_jax.plots import runs, scene, solids
 
 pytestmark = pytest.mark.long
@@ -295,12 +295,6 @@ def test_two_bodies_are_drawn_at_their_centers(dissipative):
     np.testing.assert_allclose(middles, found.centers[3], rtol=0, atol=1e-12)
 
 
-HANDLE = """
-parts = [{cylinder = [0.1, 1.0], position = [0.0, 0.3, 0.2]},
-         {box = [1.2, 0.2, 0.4], position = [0.0, 0.3, 0.8], euler_313_deg = [90, 0, 0], density = 2}]
-"""
-
-
 def area(solid):
     corners = [solid.corners[list(face)] for face in solid.faces]
     return sum(np.linalg.norm(np.cross(x[1:-1] - x[0], x[2:] - x[0]), axis=1).sum() / 2 for x in corners)
@@ -324,19 +318,16 @@ def test_solids_have_their_volumes_and_keep_their_surface_in_smaller_faces():
     assert max(np.ptp(joined.corners[list(face)], axis=0).max() for face in joined.faces) <= 0.25 * 3
 
 
-def test_a_shape_of_parts_is_drawn_about_its_center_of_mass(tmp_path):
-    """A cylinder of mass π/100 and a box of mass 0.192 above it, which is rotated by 90°."""
-    path = tmp_path / "handle.toml"
-    path.write_text(HANDLE)
-    found = meshes.read(path)
-    low, high = found.solid.corners.min(axis=0), found.solid.corners.max(axis=0)
-    np.testing.assert_allclose(low, [-0.1, -0.3, -0.3], rtol=0, atol=1e-12)
-    np.testing.assert_allclose(high, [0.1, 0.9, 1.0], rtol=0, atol=1e-12)
-    masses = np.array([np.pi / 100, 0.192])
-    center = [0, 0.3, masses @ [0.2, 0.8] / masses.sum()]
-    np.testing.assert_allclose(found.centered().corners.min(axis=0), low - center, rtol=0, atol=1e-12)
+def test_a_shape_is_drawn_about_its_center_of_mass_and_its_axes_are_compared(tmp_path):
+    """A slab that lies along y, for a body whose inertia is that of a slab along x."""
+    path = tmp_path / "slab.obj"
+    corners = [(x, y, z) for x in (0, 1) for y in (0, 3) for z in (0, 2)]
+    faces = ["1 3 4 2", "5 6 8 7", "1 2 6 5", "3 7 8 4", "1 5 7 3", "2 4 8 6"]
+    path.write_text("".join(f"v {x} {y} {z}\n" for x, y, z in corners) + "".join(f"f {face}\n" for face in faces))
+    found = solids.read(path)
+    np.testing.assert_allclose(found.centered().corners.min(axis=0), [-0.5, -1.5, -1.0], rtol=0, atol=1e-12)
     t = np.linspace(0, 1, 5)
-    with pytest.warns(UserWarning, match=r"the principal axes of handle\.toml differ by 90° from those of the body"):
+    with pytest.warns(UserWarning, match=r"the principal axes of slab\.obj differ by 90° from those of the body"):
         drawn = scene.scene_of(uniform(t), "a body", 5, shapes=[found])
     np.testing.assert_allclose(
         drawn.corners(0, 0) * found.centered().size(), found.centered().corners, atol=1e-12, rtol=0
@@ -348,7 +339,7 @@ def test_a_shape_of_parts_is_drawn_about_its_center_of_mass(tmp_path):
 def test_a_shape_of_triangles_is_drawn_about_its_center_of_mass(tmp_path):
     path = tmp_path / "corner.obj"
     path.write_text("v 0 0 0\nv 4 0 0\nv 0 4 0\nv 0 0 4\nf 1 3 2\nf 1 2 4\nf 1 4 3\nf 2 3 4\n")
-    found = meshes.read(path)
+    found = solids.read(path)
     assert len(found.solid.faces) == 4
     assert area(found.solid) == pytest.approx(24 + 8 * np.sqrt(3), rel=1e-12, abs=1e-12)
     np.testing.assert_allclose(found.centered().corners.min(axis=0), [-1, -1, -1], rtol=0, atol=1e-12)
@@ -375,10 +366,6 @@ def test_the_axes_of_a_shape_are_compared_where_moments_differ():
 @pytest.mark.parametrize(
     ("name", "text", "message"),
     [
-        ("a.toml", "parts = []", r"a\.toml: parts: .*at least 1"),
-        ("a.toml", "[[parts]]\nboxx = [1, 2, 3]", r"parts\.0\.boxx: unknown key; did you mean box\?"),
-        ("a.toml", "[[parts]]\nbox = [1, 2, 3]\nellipsoid = [1, 2, 3]", "exactly one of box, cylinder and ellipsoid"),
-        ("a.toml", "[[parts]]\ncylinder = [1, -2]", r"cylinder\.1: .*greater than 0"),
         ("a.off", "", r"a surface is read from a file \.obj, .* got .*a\.off"),
         ("a.stl", "solid nothing", r"a\.stl: there must be vertices and faces, got 0 and 0"),
     ],
@@ -386,6 +373,6 @@ def test_the_axes_of_a_shape_are_compared_where_moments_differ():
 def test_a_bad_file_of_a_shape_is_refused_by_its_name(tmp_path, name, text, message):
     (tmp_path / name).write_text(text)
     with pytest.raises(ValueError, match=message):
-        meshes.read(tmp_path / name)
-    with pytest.raises(ValueError, match=r"there is no file nowhere\.toml"):
-        meshes.read(Path("nowhere.toml"))
+        solids.read(tmp_path / name)
+    with pytest.raises(ValueError, match=r"there is no file nowhere\.obj"):
+        solids.read(Path("nowhere.obj"))

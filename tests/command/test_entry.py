@@ -4,7 +4,7 @@ import sys
 import tomllib
 from pathlib import Path
 
-from lieint_jax.app.command import cli, entry
+from lieint_jax.command import cli, entry
 
 ROOT = Path(__file__).parents[2]
 
@@ -15,11 +15,11 @@ def test_an_interrupt_while_jax_is_imported_is_one_line(monkeypatch, capsys):
     class Interrupted:
         @staticmethod
         def find_spec(name, *_):
-            if name == "lieint_jax.app.command":
+            if name == "lieint_jax.command":
                 raise KeyboardInterrupt
 
     with monkeypatch.context() as patch:
-        for name in ("lieint_jax.app.command", "lieint_jax.app.command.cli"):
+        for name in ("lieint_jax.command", "lieint_jax.command.cli"):
             patch.delitem(sys.modules, name)
         patch.setattr(sys, "meta_path", [Interrupted, *sys.meta_path])
         assert entry.main() == 130
