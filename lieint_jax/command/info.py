@@ -65,7 +65,8 @@ def select_from(path: Address, run: Trajectory, metadata: dict[str, Any]) -> Cal
         ValueError: the system of the run is of classes from outside this package; the message names the call of
             Python that opens it.
     """
-    step, facts = step_from_store(path, metadata), Facts.of_store(str(path), metadata)
+    step = step_from_store(path, metadata)
+    facts = Facts.of_store(str(path), metadata)._replace(batch=True)  # in a store one body has a member axis, too
     own_step = facts.own_step
     check_system(path, step.system, run, own_step)
 
