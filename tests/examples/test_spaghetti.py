@@ -35,7 +35,7 @@ def test_a_thrown_rod_has_the_impulse_of_its_loads_and_conserves_its_momenta_in_
 
 
 def test_every_rod_moves_as_the_rod_of_its_own_stiffness_and_moment_alone(thrown):
-    """Each on its own, made by hand; the rods differ by 0.1 at the end. Observed: 3e-12."""
+    """Each on its own, made by hand: observed 2e-14. The ends of the rods differ by 0.5 and 1.7."""
     _, run = thrown
     noise = np.asarray(jax.random.normal(jax.random.key(1988), (3, 2, 3)))
     for m in (1, 2):
@@ -50,5 +50,5 @@ def test_every_rod_moves_as_the_rod_of_its_own_stiffness_and_moment_alone(thrown
         )
         path = li.integrate(li.schemes.bodies_energy_momentum(rod), rod.state(), 0.05, 120, save_every=120)
         end = np.asarray(path.state.q[-1])
-        np.testing.assert_allclose(run.state.q[-1, m], end, rtol=0, atol=1e-9)
-        assert abs(run.state.q[-1, m] - run.state.q[-1, 0]).max() > 0.01
+        np.testing.assert_allclose(run.state.q[-1, m], end, rtol=0, atol=2e-13)
+        assert abs(run.state.q[-1, m] - run.state.q[-1, 0]).max() > 0.1
