@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 import reference_numbers
 
-from lieint_jax.app import published
-from lieint_jax.app.published import _detumbling
+from lieint_jax.command import published
+from lieint_jax.command.published import _detumbling
 
 BOUNDS = {  # what is observed, in the order of the published quantities
     # 1e-5, 1.4e-8, 2e-12, 2e-15

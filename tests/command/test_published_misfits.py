@@ -15,7 +15,7 @@ from scipy.optimize import root
 from scipy.spatial.transform import Rotation
 
 from lieint_jax import schemes
-from lieint_jax.app import published
+from lieint_jax.command import published
 
 pytestmark = pytest.mark.long
 
