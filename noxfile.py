@@ -84,7 +84,7 @@ def build(session):
             [archive] = map(str, Path().glob(kind))
             session.run("uv", "pip", "install", "--python", python, "--reinstall-package", "lieint_jax", archive)
             session.run("lieint", "check", "rigid_body", "--scheme", "exact", "--steps", "100")
-            session.run("lieint", "run", "toutatis", "--members", "3", "--steps", "1600", "--out", f"{archive}.npz")
+            session.run("lieint", "run", "toutatis", "--members", "3", "--steps", "1600", "--out", f"{archive}.zarr")
         session.run("tar", "xzf", str(next(Path().glob("*.tar.gz"))), "--strip-components=1", external=True)
         session.install(".[test,docs]")
         session.run("pytest", "-n", "0", "tests/app/test_readme.py", "tests/app/test_release.py")

@@ -43,7 +43,7 @@ def run(name: str, options: Sequence[str], read: Callable[..., Any]) -> None:
 
 
 def _refuse_existing(out: Path) -> None:
-    """Raise ValueError if results at `out` would replace a file: itself, or a picture; a store is checked by `li.run`."""
+    """Raise ValueError if results at `out` would replace that file or a picture; `li.run` checks a store itself."""
     pictures = sorted(out.parent.glob(f"{out.stem}-[a-z]*.png"))
     for file in (*([] if out.suffix == ".zarr" else [out]), *pictures):
         if file.exists():

@@ -116,8 +116,8 @@ def drift_of_energy():
 
 def measured_names():
     """What the rows of `tests/data/quoted_numbers.toml` are computed from."""
-    ours = rate("so3_midpoint, symplectic κ")
-    [explicit] = [x["ours"] for x in result("ensemble")["cpp"] if x["name"] == "so3_explicit"]
+    rates = {x["name"]: x for x in result("ensemble")["cpp"]}  # of li.run and of C++, in turn
+    ours, explicit, top = (rates[x] for x in ("so3_midpoint, symplectic κ", "so3_explicit", "splitting of a heavy top"))
     gradient = {x["name"]: x for x in result("gradients")}
     undone, forward = gradient["ours, reversible"], gradient["ours, forward run"]
     first = [x["first"] for x in result("first_ensembles")["rows"]]
