@@ -7,11 +7,9 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from scipy.special import erfinv
 from stores import assert_same
 
 import lieint_jax as li
-from lieint_jax._numerics import random_bits
 
 BODY = li.systems.rigid_body([1.0, 2.0, 3.0])
 STEP = li.schemes.so3_midpoint(BODY)
@@ -161,39 +159,6 @@ def test_functions_that_return_no_states_of_these_members_are_refused():
     ):
         with pytest.raises(ValueError, match=message):
             run(states, **options)
-
-
-def threefry(key, count):
-    """Threefry-2x32 of 20 rounds in Python's integers [Salmon et al. 2011]."""
-    keys = [*key, key[0] ^ key[1] ^ 0x1BD11BDA]
-    x, y = (count[0] + keys[0]) % 2**32, (count[1] + keys[1]) % 2**32
-    for group in range(5):
-        for bits in ((13, 15, 26, 6), (17, 29, 16, 24))[group % 2]:
-            x = (x + y) % 2**32
-            y = ((y << bits | y >> (32 - bits)) % 2**32) ^ x
-        x, y = (x + keys[(group + 1) % 3]) % 2**32, (y + keys[(group + 2) % 3] + group + 1) % 2**32
-    return x, y
-
-
-def test_draws_of_some_members_are_those_of_jax_for_all():
-    key, rows = jax.random.key(5), np.array([0, 3, 17, 99])
-    for shape, axis in (((100,), 0), ((2, 100, 3), 1), ((100, 3, 3), 0)):
-        whole = np.asarray(jax.random.normal(key, shape))
-        np.testing.assert_array_equal(random_bits.normal_rows(key, shape, rows, axis), whole.take(rows, axis))
-    keys = jax.random.key_data(jax.random.split(key, 100))
-    np.testing.assert_array_equal(jax.random.key_data(random_bits.split_rows(key, 100, rows)), keys[rows])
-    with jax.enable_x64(False):
-        whole = np.asarray(jax.random.normal(key, (100, 3)))
-        np.testing.assert_array_equal(random_bits.normal_rows(key, (100, 3), rows), whole[rows])
-    other = jax.random.key(5, impl="rbg")  # a generator that does not count
-    np.testing.assert_array_equal(
-        random_bits.normal_rows(other, (100, 3), rows), jax.random.normal(other, (100, 3))[rows]
-    )
-    place = 3 * 2**32 + 12_345  # its high word is not 0
-    high, low = threefry(tuple(map(int, jax.random.key_data(key))), divmod(place, 2**32))
-    uniform = ((high << 32 | low) >> 12) * 2.0**-51 - 1.0
-    found = random_bits.normal_rows(key, (2**35,), np.array([place]))
-    np.testing.assert_allclose(found, np.sqrt(2) * erfinv(uniform), rtol=1e-14)  # floor 3e-15
 
 
 def test_a_part_is_refused_before_it_makes_members_that_do_not_fit_the_memory(tmp_path, monkeypatch):

@@ -175,6 +175,6 @@ def _check_attributes(found: Table, shown: Mapping[str, Table]) -> None:
         for name in {*leaves, "first_failure", *of_members} - ({"t"} - set(kinds)):
             expect(name, kinds, COUNTS if name == "first_failure" else REALS, (members,), least=1)
         return
-    check_run(kinds, set(leaves) - ({"t"} - set(kinds)), "time")
+    check_run(kinds, set(leaves) - ({"t"} - set(kinds)))
     if kinds["p"][0][:2] != (entries, members):
         raise ValueError(f"p has shape {kinds['p'][0]}, not ({entries}, {members}, …)")
