@@ -165,7 +165,7 @@ def test_a_script_of_the_gallery_runs_once_until_it_or_the_package_changes(galle
     assert gallery.results("pendulum") == first
     assert (first / "picture.png").read_bytes() == b"picture"
     page = gallery._page("pendulum", first)
-    assert "\n$ lieint run pendulum" in page
+    assert "\nlieint run pendulum" in page
     assert "the report of run 1" in page
     assert Path(examples.__path__[0], "pendulum.py").read_text(encoding="utf-8").rstrip() in page
     monkeypatch.setattr(gallery, "SIZES", {"pendulum": "--members 2"})

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from datetime import date
 from functools import cache
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -11,15 +13,20 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike
 
-from lieint_jax.runs import store as archives
-
 Compute = Callable[[], Mapping[str, ArrayLike]]
 
 
 @cache
 def numbers() -> dict[str, dict[str, Any]]:
-    """The entries of `numbers.toml`, which describes them."""
-    return archives.read_toml(Path(__file__).with_name("numbers.toml"), "numbers.toml")
+    """The published numbers by case, from `numbers.json`, which is their only place.
+
+    An entry has its code, its source (repository, file and commit), the date on which the numbers were read from it,
+    the limit of the agreement, digits (half a unit of the last printed digit, left out where all are printed), and its
+    numbers by quantity, digit by digit as published. Where one is changed after it was read, it has a list of changes:
+    date, quantity, was, reason.
+    """
+    entries = json.loads(Path(__file__).with_name("numbers.json").read_text(encoding="utf-8"))
+    return {name: entry | {"read": date.fromisoformat(entry["read"])} for name, entry in entries.items()}
 
 
 class Comparison(NamedTuple):
@@ -77,7 +84,7 @@ CASES: dict[str, Case] = {}
 
 
 def case(name: str, scheme: str) -> Callable[[Compute], Compute]:
-    """Declare that a function computes, by this scheme, the case of this name in `numbers.toml`."""
+    """Declare that a function computes, by this scheme, the case of this name in `numbers.json`."""
 
     def declare(compute: Compute) -> Compute:
         given = numbers()[name]
