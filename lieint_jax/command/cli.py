@@ -140,8 +140,9 @@ def _options(function: Callable[..., None], name: str, words: Sequence[str]) -> 
         return functools.partial(function, *args, **kwargs)
 
     settings = (tyro.conf.DisallowNone,)  # `--out None` is of no use
+    said = io.StringIO()
     try:
-        with contextlib.redirect_stderr(io.StringIO()) as said:
+        with contextlib.redirect_stderr(said):
             return tyro.cli(later, prog=name, args=words, config=settings)
     except SystemExit as stop:
         if not stop.code:  # it was --help
