@@ -231,7 +231,7 @@ def period_ratio(moments: Array, s: Array, long_axis: bool) -> Array:
 
 
 def momentum_of_ratio(moments: Array, ratio: Array, long_axis: bool) -> Array:
-    """The unit Π of `on_axes` at which P_ψ/P_φ is `ratio`, by bisection, with its first derivatives."""
+    """The unit Π of `on_axes` at which P_ψ/P_φ is `ratio`, by bisection, with its first derivatives; or NaN."""
     sign, fixed, wanted = -1 if long_axis else 1, lax.stop_gradient(moments), lax.stop_gradient(ratio)
 
     def bisect(_: int, bounds: tuple[Array, Array]) -> tuple[Array, Array]:
@@ -243,7 +243,8 @@ def momentum_of_ratio(moments: Array, ratio: Array, long_axis: bool) -> Array:
     low, high = lax.fori_loop(0, _BISECTIONS, bisect, (zero, zero + 1))
     s = (low + high) / 2
     _, slope = jax.jvp(lambda s: period_ratio(fixed, s, long_axis), (s,), (jnp.ones_like(s),))
-    return on_axes(moments, s - (period_ratio(moments, s, long_axis) - ratio) / slope, long_axis)
+    found = on_axes(moments, s - (period_ratio(moments, s, long_axis) - ratio) / slope, long_axis)
+    return where(mode_exists(fixed, wanted, long_axis), found, jnp.nan)
 
 
 def mode_exists(moments: Array, ratio: Array, long_axis: bool) -> Array:

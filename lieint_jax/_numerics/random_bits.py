@@ -4,16 +4,11 @@ The j-th 64 bits of step n are those of `jax.random.fold_in(jax.random.fold_in(k
 (Salmon et al. 2011), for which JAX has one operation. Here it is written out, so that ensembles can compile it as a
 part of a program of single numbers. A state carries its key as real numbers below 2¹⁶, which float32 represents
 exactly.
-
-In JAX's own random arrays an entry depends only on the key and its place in the array. So `normal_rows` and
-`split_rows` compute the entries of some members without those of the others.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
-from functools import partial
 from typing import Any
 
 import jax
@@ -94,43 +89,3 @@ def normal(key: Key, first: int, count: int, dtype: Any) -> Array:
 def draws_of(count: int) -> int:
     """How many draws so many normal numbers need."""
     return count + count % 2
-
-
-def normal_rows(key: Array, shape: Sequence[int], rows: np.ndarray, axis: int = 0) -> Array:
-    """`jax.random.normal(key, shape)` at these rows along an axis, without the numbers of the others."""
-    if not _is_counter(key) or math.prod(shape) > jnp.iinfo(jax.dtypes.canonicalize_dtype(np.uint64)).max:
-        return jnp.take(jax.random.normal(key, shape), rows, axis)
-    return _normal_rows(key, jnp.asarray(rows), tuple(shape), axis)
-
-
-def split_rows(key: Array, count: int, rows: np.ndarray) -> Array:
-    """`jax.random.split(key, count)` at these rows, without the keys of the others."""
-    if not _is_counter(key):
-        return jax.random.split(key, count)[rows]
-    return jax.vmap(jax.random.fold_in, (None, 0))(key, jnp.asarray(rows))
-
-
-def _is_counter(key: Array) -> bool:
-    """True if the bits of an entry are Threefry of the key and of the entry's place, as by default."""
-    counts = getattr(jax.config, "jax_threefry_partitionable", True)
-    return bool(counts) and str(jax.random.key_impl(key)) == "threefry2x32"
-
-
-@partial(jax.jit, static_argnames=("shape", "axis"))
-def _normal_rows(key: Array, rows: Array, shape: tuple[int, ...], axis: int) -> Array:
-    """√2 erf⁻¹(u), u uniform in (−1, 1) by the leading bits of an entry's words, as in `jax.random.normal`."""
-    whole, dtype = jax.dtypes.canonicalize_dtype(np.uint64), np.dtype(jnp.result_type(float))
-    place = jnp.zeros((), whole)
-    for k, length in enumerate(shape):
-        along = (rows if k == axis else jnp.arange(length)).astype(whole)
-        place = place * length + along.reshape(-1, *[1] * (len(shape) - 1 - k))
-    high = (place >> 32).astype(jnp.uint32) if whole.itemsize == 8 else jnp.zeros_like(place)
-    words = jax.random.key_data(key)
-    x, y = threefry((words[0], words[1]), (high, place.astype(jnp.uint32)))
-    bits = x ^ y if dtype.itemsize == 4 else (x.astype(whole) << 32) | y.astype(whole)
-    one = np.ones((), dtype)
-    exponent = one.view(f"u{dtype.itemsize}")
-    digits = jnp.finfo(dtype).nmant
-    fraction = lax.bitcast_convert_type((bits >> (8 * dtype.itemsize - digits)) | exponent, dtype) - one
-    least = np.nextafter(-one, one * 0)
-    return jnp.sqrt(2 * one) * lax.erf_inv(jnp.maximum(least, fraction * (one - least) + least))

@@ -17,7 +17,6 @@ from lieint_jax.command.printer import show
 from lieint_jax.plots.runs import kinetic_energy, series
 from lieint_jax.runs import Run
 from lieint_jax.runs import store as archives
-from lieint_jax.runs._job.facts import Facts
 from lieint_jax.runs.store import Address, UnreadableError, check_system, step_from_store
 from lieint_jax.types import Trajectory, energy_less_work
 
@@ -65,8 +64,8 @@ def select_from(path: Address, run: Trajectory, metadata: dict[str, Any]) -> Cal
         ValueError: the system of the run is of classes from outside this package; the message names the call of
             Python that opens it.
     """
-    step, facts = step_from_store(path, metadata), Facts.of_store(str(path), metadata)
-    own_step = facts.own_step
+    step, own_step = step_from_store(path, metadata), metadata["run"]["step_axis"] == 0
+    known = {"dt": metadata["dt"], "num_steps": metadata["run"]["num_steps"], "save_every": metadata["save_every"]}
     check_system(path, step.system, run, own_step)
 
     def select(times: np.ndarray | None = None, members: slice = slice(None)) -> Run:
@@ -74,7 +73,8 @@ def select_from(path: Address, run: Trajectory, metadata: dict[str, Any]) -> Cal
         state, info = jax.tree.map(lambda x: np.asarray(x[chosen, members]), (run.state, run.info))
         own = jax.tree.map(lambda x: x[members], step) if own_step else step
         saved = Trajectory(jnp.asarray(np.asarray(run.t)[chosen]), state, info)
-        return dataclasses.replace(Run.of(own, saved, own_step), facts=facts)
+        made = Run.of(own, saved, own_step, time_unit=time_unit_of(metadata) or "1")
+        return dataclasses.replace(made, facts=made.facts._replace(**known, source=str(path)))
 
     return select
 

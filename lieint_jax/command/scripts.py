@@ -106,7 +106,7 @@ def _judged(error: Exception, file: Path) -> Exception:
     A ValueError or OSError raised below a call of this package is about what the script passed to it. Of a user's file
     its message gets the line of that call. Any other error of a user's file is the script's own.
     """
-    if file.is_relative_to(_PACKAGE):
+    if file.is_relative_to(_PACKAGE) or isinstance(error, BrokenPipeError):  # the reader of what it prints has gone
         return error
     own, line, inside = None, 0, False
     trace = error.__traceback__

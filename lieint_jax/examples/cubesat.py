@@ -5,6 +5,7 @@ wheels then point its camera (z) to the nadir, and the torquers unload the wheel
 to the change of energy, to round-off. Units: SI. The data of the components are assumptions, typical of catalogs.
 """
 
+import itertools
 from pathlib import Path
 
 import jax
@@ -103,110 +104,65 @@ def main(
     noise = jax.random.normal(jax.random.key(seed), (members, 4, 3)).at[0].set(0.0)
     satellites, states = jax.jit(jax.vmap(member))(noise)
     run = li.run(satellites, states, 2.0, steps, save_every=20, own_step=True, store=out, resume=resume, epoch=date)
-    extra, names = run.state.extra or {}, [*laws(jnp.diag(INERTIA), DIPOLE)]
-    t, works = np.asarray(run.t), np.asarray(extra["works"])
-    H = np.asarray(run.map(lambda step, z: step.system.energy(z)))
+    extra, t, to_nadir = run.state.extra, np.asarray(run.t), jnp.array([0.0, 0.0, 1.0])
+    works, H = np.asarray(extra["works"]), np.asarray(run.map(lambda step, z: step.system.energy(z)))
     rate = np.rad2deg(li.measure.rotation_rates(run))
-    nadir = np.rad2deg(li.measure.tilt(run, direction=lambda t: so3.Ad(frame(t), jnp.array([0.0, 0.0, 1.0]))))
+    nadir = np.rad2deg(li.measure.tilt(run, direction=lambda t: so3.Ad(frame(t), to_nadir)))
     wheels = 1e3 * np.linalg.norm(np.asarray(extra["wheels"]) @ np.asarray(WHEELS), axis=-1)
+    slow, captured = li.measure.first_below(t, rate, SLOW), li.measure.captured_since(t, nadir, CAPTURED)
     rows = [
         li.report.Row("rate at the end (°/s)", rate[-1]),
         li.report.Row("z axis from the nadir at the end (°)", nadir[-1]),
-        li.report.Row(f"first slower than {SLOW:g} °/s (s)", li.measure.first_below(t, rate, SLOW), digits=".0f"),
-        li.report.Row(
-            f"within {CAPTURED:g}° of the nadir since (s)", li.measure.captured_since(t, nadir, CAPTURED), digits=".0f"
-        ),
+        li.report.Row(f"first slower than {SLOW:g} °/s (s)", slow, digits=".0f"),
+        li.report.Row(f"within {CAPTURED:g}° of the nadir since (s)", captured, digits=".0f"),
         li.report.Row("largest momentum of the wheels (mN m s)", wheels.max(axis=0)),
         li.report.Row("momentum of the wheels at the end (mN m s)", wheels[-1]),
     ]
-    less_work, size = H - works.sum(axis=-1), abs(H).max(axis=0)
-    changed = [li.report.Change("energy less the work of all laws", less_work, size, "conserved to round-off")]
-    series = {
-        "angular velocity (°/s)": rate,
-        "z axis from the nadir (°)": nadir,
-        "momentum of the wheels (mN m s)": wheels,
-    }
-    print(
-        li.report.text(
-            TITLE,
-            run,
-            rows,
-            changed=changed,
-            remarks=[*phase_lines(t, *series.values()), *work_lines(t, H, works, names), capture_line(nadir[-1])],
-            spread="attitude {:g}°, angular velocity {:g}°/s, second moments of mass {:g} of them, "
-            "residual dipole {:g} A m²".format(*SPREAD.values()),
-            time_unit="s",
-        )
-    )
+    left, size = H - works.sum(axis=-1), abs(H).max(axis=0)
+    changed = [li.report.Change("energy less the work of all laws", left, size, "conserved to round-off")]
+    series = {"rate (°/s)": rate, "z axis from the nadir (°)": nadir, "momentum of the wheels (mN m s)": wheels}
+    by_law = dict(zip(laws(jnp.diag(INERTIA), DIPOLE), np.moveaxis(works, -1, 0), strict=True))
+    remarks = phase_lines(t, series, H, by_law)
+    k = (nadir[-1] <= CAPTURED).sum()
+    p = (k + 0.5) / (members + 1)  # of Jeffreys' posterior, Beta(k + ½, n − k + ½): its error is not 0 for k = n
+    share = f"({100 * k / members:.2f} ± {100 * np.sqrt(p * (1 - p) / (members + 2)):.2f}) % of all starts"
+    remarks.append(f"  at the end within {CAPTURED:g}° of the nadir: {k} of {members}, {share}")
+    spread = "attitude {:g}°, angular velocity {:g}°/s, second moments of mass {:g} of them, residual dipole {:g} A m²"
+    spread = spread.format(*SPREAD.values())
+    print(li.report.text(TITLE, run, rows, changed=changed, remarks=remarks, spread=spread, time_unit="s"))
     if pictures:
-        drawn = li.plots.save(draw_phases(t, series), out.with_name(f"{out.stem}-phases.png"))
-        drawn += li.plots.save(draw_works(t, H, works, names), out.with_name(f"{out.stem}-works.png"))
-        print("pictures:", *drawn)
+        drawn = li.plots.save(draw(t, series), out.with_name(f"{out.stem}-phases.png"))
+        print("pictures:", *drawn, *li.plots.overview(run, out, TITLE))
 
 
-def phases(t):
-    """The name of each phase that the run reaches, with its first and last saved times, by index."""
-    edges = [*(x for x in BEGINS.values() if x < t[-1]), t[-1]]
-    first, *others = np.searchsorted(t, edges)
-    return [(name, a, b) for name, a, b in zip(BEGINS, [first, *others], others, strict=False) if a < b]
-
-
-def phase_lines(t, rate, nadir, wheels):
-    """The median and the greatest rate, angle and momentum of the members at the end of each phase."""
-    lines = [
-        f"\n  {'phase':<28}{'until (s)':>10}{'rate (°/s)':>20}{'from the nadir (°)':>22}{'wheels (mN m s)':>19}",
-        "  median and largest, at its end",
+def phase_lines(t, series, H, works):
+    """The median and the greatest of series of the members at the end of each phase, and the mean work of each law."""
+    edges = np.searchsorted(t, [*(x for x in BEGINS.values() if x < t[-1]), t[-1]])
+    parts = dict(zip(BEGINS, itertools.pairwise(edges), strict=False))
+    rows = {"phase": parts, "until (s)": [f"{t[b]:.0f}" for _, b in parts.values()]}
+    for name, x in series.items():
+        rows[f"{name}, median, largest"] = [f"{np.median(x[b]):.3f}  {x[b].max():.3f}" for _, b in parts.values()]
+    for name, x in (works | {"change of energy": H}).items():
+        rows[f"work (µJ), mean: {name}"] = [f"{1e6 * np.mean(x[b] - x[a]):.4f}" for a, b in parts.values()]
+    braked = np.all(np.diff(works["B-dot"], axis=0) <= 0, axis=0)
+    return [
+        "",
+        *(f"  {name:<50}{''.join(f'{cell:>25}' for cell in cells)}" for name, cells in rows.items()),
+        f"  detumbling never raised the energy between two saved times: {braked.sum()} of {braked.size} starts",
     ]
-    for name, _, k in phases(t):
-        a, b, c = (f"{np.median(x[k]):.3f}  {np.max(x[k]):.3f}" for x in (rate, nadir, wheels))
-        lines.append(f"  {name:<28}{t[k]:>10.0f}{a:>20}{b:>22}{c:>19}")
-    return lines
-
-
-def work_lines(t, H, works, names):
-    """The mean work of each law in each phase, and how often detumbling raised the energy."""
-    lines = [f"\n  {'work (µJ), mean of members':<28}" + "".join(f"{name:>24}" for name, *_ in phases(t))]
-    quantities = [*zip(names, np.moveaxis(works, -1, 0), strict=True), ("energy, changed by", H)]
-    for name, x in quantities:
-        lines.append(f"  {name:<28}" + "".join(f"{1e6 * np.mean(x[b] - x[a]):>24.4f}" for _, a, b in phases(t)))
-    braked = np.all(np.diff(works[..., names.index("B-dot")], axis=0) <= 0, axis=0)
-    count = f"{braked.sum()} of {braked.size} starts"
-    return [*lines, f"\n  detumbling never raised the energy between two saved times: {count}"]
-
-
-def capture_line(angles):
-    """How many members are captured, with the standard error of their share.
-
-    The error is that of Jeffreys' posterior, Beta(k + ½, n − k + ½), which is not 0 where all are captured.
-    """
-    n, k = angles.size, int((angles <= CAPTURED).sum())
-    p = (k + 0.5) / (n + 1)
-    error = 100 * np.sqrt(p * (1 - p) / (n + 2))
-    decimals = max(0, 1 - int(np.floor(np.log10(error))))  # two digits of the error
-    share = f"({100 * k / n:.{decimals}f} ± {error:.{decimals}f}) %"
-    return f"  at the end within {CAPTURED:g}° of the nadir: {k} of {n}, {share} of all starts"
 
 
 @li.plots.style()
-def draw_phases(t, series):
+def draw(t, series):
     """Plot rates, angles and momenta of the wheels of the first hundred members; the nominal one in black."""
     fig, [axes] = li.plots.figure(3)
     for ax, (label, values) in zip(axes, series.items(), strict=True):
         li.plots.member_series(ax, t / 3600, values, label, "h")
-        for _, first, _ in phases(t)[1:]:
-            ax.axvline(t[first] / 3600, color=li.plots.GRAY, ls=":")
+        for begin in [x for x in BEGINS.values() if 0 < x < t[-1]]:
+            ax.axvline(begin / 3600, color=li.plots.GRAY, ls=":")
     axes[0].set_yscale("log")
     axes[1].set(ylim=(0, 180), yticks=range(0, 181, 30))
-    fig.suptitle(f"{TITLE}: {', then '.join(name for name, *_ in phases(t))}")
-    return fig
-
-
-@li.plots.style()
-def draw_works(t, H, works, names):
-    """Plot the work of each law on the nominal member, and how well the works add up to the change of energy."""
-    fig, [axes] = li.plots.figure(2)
-    li.plots.balance(axes, t / 3600, 1e6 * H, 1e6 * works, names, unit="µJ", time_unit="h")
-    fig.suptitle(TITLE)
+    fig.suptitle(f"{TITLE}: {', then '.join(BEGINS)}")
     return fig
 
 

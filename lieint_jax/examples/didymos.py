@@ -40,7 +40,7 @@ ROUND = "The primary of this state is rounder than the published one: with the o
 ROUND += "apsides advances by 6.2 °/d. A member's rate depends on the amplitude of its secondary's libration."
 APSIDES = li.report.Published(6.7, 0.2, NAIDU, ROUND)
 HOUR, DAY = 3600.0, 86400.0
-PARTS = ("orbit of two points", "primary's spin", "secondary's spin", "potential of their shapes, V + G m₁m₂/r")
+PARTS = ("orbit of two points", "primary's spin", "secondary's spin", "shapes, V + G m₁m₂/r")
 
 
 def main(
@@ -64,7 +64,7 @@ def main(
         out: the store of the run; by default didymos.zarr, or didymos-2.zarr where that exists.
         resume: continue the run in `out`.
         seed: of the deviations of the members.
-        pictures: draw the distance, the libration and its spectrum, and the errors.
+        pictures: draw the distance and the libration, the errors, and the motion of the first member.
         certificate: measure what the scheme conserves along the first member.
     """
     jax.config.update("jax_enable_x64", True)
@@ -81,15 +81,23 @@ def main(
         li.report.Change("linear momentum, over that of the secondary", P, of_moon),
         li.report.Change("angular momentum, relative", L, start),
     ]
-    remarks = [*behavior(motion, parts), *impact(speed_change / 1000, dt, steps)]
+    faces, upright = li.measure.is_librating(motion.libration), np.rad2deg(motion.obliquity).max(axis=0) < 30
+    shares = ", ".join(f"{np.ptp(E[:, 0]) / abs(parts.orbit[0, 0]):.3g}" for E in parts[:4])
+    remarks = [
+        f"  exchanged energies, greatest − least, of the nominal member over |orbit's energy|: {shares}",
+        f"  periods and rates: mean rates of longitudes about L over {motion.t[-1] / DAY:.4g} d, by least squares",
+        f"  {faces.sum()} of {members} members: one end of the secondary's x axis stays toward the primary",
+        f"  {upright.sum()} of {members} members: its z axis stays within 30° of the orbit's normal",
+        *impact(speed_change / 1000, dt, steps),
+    ]
     spread = "relative velocity 0.1 mm/s; of the secondary: attitude 1°, angular velocity 1.5e-06 rad/s, semi-axes 3 %"
     about = {"changed": changed, "remarks": remarks, "spread": spread, "time_unit": "s"}
-    print(li.report.text(TITLE, run, measured(motion), **about))
+    print(li.report.text(TITLE, run, measured(motion, parts), **about))
     if certificate:
         print(f"\n{li.report.certificate(run)}")
     if pictures:
-        drawn = li.plots.save(draw_orbit(run), out.with_name(f"{out.stem}-orbit.png"))
-        print("pictures:", *drawn, *li.plots.save(li.plots.errors(run, TITLE), out.with_name(f"{out.stem}-errors.png")))
+        drawn = li.plots.save(draw(motion), out.with_name(f"{out.stem}-orbit.png"))
+        print("pictures:", *drawn, *li.plots.overview(run, out, TITLE))
 
 
 def pair(noise, speed_change):
@@ -107,7 +115,7 @@ def pair(noise, speed_change):
     return li.schemes.kepler_splitting(bodies, (8, 6, 4)), state
 
 
-def measured(motion):
+def measured(motion, parts):
     """Periods, precessions and librations of the members, with published values."""
     mean_rate, Row, orbit = li.measure.mean_rate, li.report.Row, li.measure.apsides(motion)
     lines, degrees = li.measure.librations(motion), np.rad2deg(DAY)  # a day, of rad/s
@@ -128,22 +136,11 @@ def measured(motion):
         Row("  the frequency of that line, over the orbit's", orbit.period / lines.free_period),
         Row("line of centers from its equator, largest (°)", np.rad2deg(largest[1])),
         Row("its obliquity, largest (°)", np.rad2deg(largest[2])),
+        *(
+            Row(f"exchanged energy, {x} (J)", np.ptp(E, axis=0), digits=".3g")
+            for x, E in zip(PARTS, parts, strict=False)
+        ),
     ]
-
-
-def behavior(motion, parts):
-    """How periods are measured, which members stay upright, and the range of each part of the energy."""
-    faces, upright = li.measure.is_librating(motion.libration), np.rad2deg(motion.obliquity).max(axis=0) < 30
-    lines = [
-        f"  periods and rates: mean rates of longitudes about L over {motion.t[-1] / DAY:.4g} d, by least squares",
-        f"  {faces.sum()} of {len(faces)} members: one end of the secondary's x axis stays toward the primary",
-        f"  {upright.sum()} of {len(faces)} members: its z axis stays within 30° of the orbit's normal",
-        f"\n  {'energy exchanged, greatest − least (J)':<54}{'nominal':>11}{'± ensemble':>12}   over |orbit's energy|",
-    ]
-    for x, name in zip(parts, PARTS, strict=False):
-        row, size = li.report.Row(name, np.ptp(x, axis=0)), abs(parts.orbit[0, 0])
-        lines.append(f"  {name:<54}{row.nominal:>11.3g}{row.spread:>12.2g}   {row.nominal / size:.3g}")
-    return lines
 
 
 def impact(given, dt, steps):
@@ -180,28 +177,12 @@ def impact(given, dt, steps):
 
 
 @li.plots.style()
-def draw_orbit(run):
-    """Plot distance and libration of the moon by up to 100 members, and the spectrum of the nominal one's libration."""
-    plots, (fig, [axes]) = li.plots, li.plots.figure(3, size=(5.2, 3.8))
-    step, start = jax.tree.map(lambda x: jnp.asarray(x)[:100], (run.step, jax.tree.map(lambda x: x[0], run.state)))
-    fine = li.run(step, start, run.dt / 4, 4 * run.facts.num_steps, save_every=2, own_step=True, progress=False)
-    motion, look = li.measure.relative_motion(fine), {"color": plots.GRAY, "lw": 0}
-    panels = {"distance (m)": motion.distance, "libration of the secondary (°)": np.rad2deg(motion.libration)}
-    for ax, (label, x) in zip(axes, panels.items(), strict=False):
-        ax.fill_between(fine.t / DAY, *np.percentile(x, [5, 95], axis=1), label=f"90 % of {x.shape[1]} members", **look)
-        ax.plot(fine.t / DAY, x[:, 0], color=plots.BLUE, lw=0.8, label="nominal member")
-        ax.set(xlabel="t (d)", ylabel=label, ymargin=0.2)
-        ax.legend(loc="upper right", ncols=2)
-    step, start = jax.tree.map(lambda x: x[0], (step, start))
-    long = li.run(step, start, run.dt, 8 * run.facts.num_steps, save_every=2, progress=False)
-    f, amplitude = li.measure.spectrum(long.t, np.rad2deg((motion := li.measure.relative_motion(long)).libration))
-    orbit, (A, B, C) = li.measure.apsides(motion), np.asarray(step.system.inertias[1])
-    ax, apsis = axes[2], orbit.period / orbit.anomalistic_period
-    ax.semilogy(f * orbit.period, amplitude, color=plots.INK, lw=0.7)
-    ax.axvline(apsis, color=plots.ORANGE, ls="--", lw=0.9, label="from apsis to apsis")
-    ax.axvline(np.sqrt(3 * (B - A) / C), color=plots.GREEN, ls=":", label="small free libration, √(3(B−A)/C)")
-    ax.set(xlim=(0, 3), xlabel="frequency over that of the orbit", ylabel="amplitude of the libration (°)")
-    ax.legend(loc="upper right", title=f"nominal member, {long.t[-1] / DAY:.4g} d")
+def draw(motion):
+    """Plot the distance and the libration of the moon."""
+    fig, [axes] = li.plots.figure(2)
+    libration = np.rad2deg(motion.libration)
+    for ax, x, label in zip(axes, (motion.distance, libration), ("distance (m)", "libration (°)"), strict=True):
+        li.plots.member_series(ax, motion.t / DAY, x, label, "d")
     fig.suptitle(TITLE)
     return fig
 

@@ -116,7 +116,7 @@ def main(
         out: the store of the planar motions; by default hyperion.zarr, or hyperion-2.zarr where that exists.
         resume: continue the planar motions in `out`.
         seed: of the deviations of the members about observed states.
-        pictures: draw the surface of section, maps of the exponents, and the exponents of the observed states.
+        pictures: draw the surface of section and a map of the exponents.
     """
     jax.config.update("jax_enable_x64", True)
     if members % angles or steps % PER_ORBIT:
@@ -159,9 +159,7 @@ def main(
     lines.append(f"\n  {failed} of these runs had a step that did not converge")
     print(li.report.text(TITLE, run, changed=li.report.changes(run), remarks=lines, time_unit="1/n"))
     if pictures:
-        drawn = li.plots.save(draw_section(run, section, angles), out.with_name(f"{out.stem}-section.png"))
-        drawn += li.plots.save(draw_observed(found, errors, around_orbits), out.with_name(f"{out.stem}-observed.png"))
-        print("pictures:", *drawn)
+        print("pictures:", *li.plots.save(draw(run, section, angles), out.with_name(f"{out.stem}-section.png")))
 
 
 def moon_step(inertia, eccentricity):
@@ -251,14 +249,20 @@ def verdict(exponents, bound):
     return "chaotic" if share >= MAJORITY else "not distinct from regular" if share <= 1 - MAJORITY else "undecided"
 
 
+def statistics(x):
+    """The mean of members, its standard error, their standard deviation, and the e-folding time of the mean."""
+    mean, deviation = np.mean(x), np.std(x, ddof=1) if len(x) > 1 else 0.0
+    return mean, deviation / len(x) ** 0.5, deviation, f"{PERIOD / (2 * np.pi * mean):.0f} d" if mean > 0 else "—"
+
+
 def table(space, orbits, values, names):
     """The mean of each exponent over the motions (motions, exponents), its error, spread and e-folding time."""
     title = f"{space}, {len(values)} starts × {orbits} orbits"
-    lines = [f"\n  {title:<68}{'mean ± error':>10}{'spread':>9}{'e-folding':>12}"]
-    for name, x in zip(names, values.T, strict=True):
-        number = f"{x.mean():>+10.4f} ± {standard_error(x):.4f}{standard_deviation(x):>10.4f}"
-        lines.append(f"  {name:<46}{number}{e_folding_time(x.mean()):>12}")
-    return lines
+    rows = zip(names, map(statistics, values.T), strict=True)
+    return [
+        f"\n  {title:<68}{'mean ± error':>10}{'spread':>9}{'e-folding':>12}",
+        *(f"  {name:<46}{x:>+10.4f} ± {error:.4f}{spread:>10.4f}{time:>12}" for name, (x, error, spread, time) in rows),
+    ]
 
 
 def observed_lines(found, errors, orbits):
@@ -273,19 +277,10 @@ def observed_lines(found, errors, orbits):
         f"  {'date':<12}{'principal axes':<32}{'nominal':>17}{'mean of members':>20}{'e-folding':>12}{'chaotic':>9}",
     ]
     for (date, reading, *_), x, error in zip(OBSERVED, found, errors, strict=True):
-        mean = f"{x.mean():>11.4f} ± {standard_error(x):.4f}{e_folding_time(x.mean()):>12}{percent(x > bound):>9}"
-        lines.append(f"  {date:<12}{reading:<32}{x[0]:>8.4f} ± {error[0]:.4f}{mean}  {verdict(x, bound)}")
+        mean, its_error, _, time = statistics(x)
+        members = f"{mean:>11.4f} ± {its_error:.4f}{time:>12}{percent(x > bound):>9}  {verdict(x, bound)}"
+        lines.append(f"  {date:<12}{reading:<32}{x[0]:>8.4f} ± {error[0]:.4f}{members}")
     return lines
-
-
-def standard_deviation(x):
-    """That of the members; 0 for a single one."""
-    return float(np.std(x, ddof=1)) if len(x) > 1 else 0.0
-
-
-def standard_error(x):
-    """That of the mean of the members."""
-    return standard_deviation(x) / len(x) ** 0.5
 
 
 def percent(x):
@@ -293,59 +288,26 @@ def percent(x):
     return f"{100 * np.mean(x):.0f} %" if x.size else "—"
 
 
-def e_folding_time(exponent):
-    """The time in which small differences grow by the factor e."""
-    return f"{PERIOD / (2 * np.pi * exponent):.0f} d" if exponent > 0 else "—"
-
-
 @li.plots.style()
-def draw_section(run, section, angles):
-    """Plot the surface of section at pericenter, and maps of the exponents in the plane and out of it."""
-    fig, [axes] = li.plots.figure(3, size=(4.6, 5.2))
-    orbits, colors = len(run.t) - 1, li.plots.COLORS[1:]
-    chaotic = section[:, 0] > chaos_limit(orbits)
+def draw(run, section, angles):
+    """Plot the surface of section at pericenter, and a map of the exponents in the plane."""
+    fig, [[left, right]] = li.plots.figure(2, size=(5.0, 5.2))
+    chaotic = section[:, 0] > chaos_limit(len(run.t) - 1)
     theta, rate = planar_coordinates(run.state)
-    left, *maps = axes
     left.scatter(theta[:, chaotic], rate[:, chaotic], s=0.15, color=li.plots.GRAY, lw=0, rasterized=True)
     for m in np.flatnonzero(~chaotic):
-        left.scatter(theta[:, m], rate[:, m], s=0.4, lw=0, rasterized=True, color=colors[m % len(colors)])
-    left.set_ylabel("spin rate θ̇ / n")
-    left.set_title("surface of section at pericenter; gray: chaotic\nmotions, colors: regular motions, one each")
-    names = ("in the plane", "out of the plane: the spin axis leaves its normal")
-    for ax, name, values in zip(maps, names, section.T, strict=True):
-        grids = (x.reshape(-1, angles) for x in (theta[0], rate[0], values))
-        x, y, value = (np.concatenate([grid, grid[:, :1]], axis=1) for grid in grids)  # θ has the period π
-        x[:, -1] += np.pi
-        ax.pcolormesh(x, y, value, shading="nearest", vmin=0, vmax=section.max(), cmap="magma")
-        ax.set_title(f"Lyapunov exponent / n,\n{name}")
-    fig.colorbar(maps[1].collections[0], ax=maps[1], label="Lyapunov exponent / n")
-    for ax in axes:
+        color = li.plots.COLORS[1 + m % (len(li.plots.COLORS) - 1)]
+        left.scatter(theta[:, m], rate[:, m], s=0.4, lw=0, rasterized=True, color=color)
+    left.set(
+        ylabel="spin rate θ̇ / n", title="surface of section at pericenter;\ngray: chaotic motions, colors: regular ones"
+    )
+    grids = (x.reshape(-1, angles) for x in (theta[0], rate[0], section[:, 0]))
+    shown = right.pcolormesh(*grids, shading="nearest", vmin=0, cmap="magma")
+    fig.colorbar(shown, ax=right, label="largest Lyapunov exponent in the plane / n")
+    for ax in (left, right):
         ax.set(xlabel="θ, long axis from the line of apsides", xlim=(0, np.pi), ylim=(0, rate[0].max()))
         ax.set_xticks(np.pi * np.arange(5) / 4, ["0", "π/4", "π/2", "3π/4", "π"])
-    fig.suptitle(f"{TITLE}: {len(chaotic)} planar motions, {orbits} orbits each")
-    return fig
-
-
-@li.plots.style()
-def draw_observed(found, errors, orbits):
-    """Plot the largest exponents of the members about each observed state."""
-    fig, [[ax]] = li.plots.figure(size=(8.0, 1.2 + 0.42 * len(OBSERVED)))
-    bound, scatter, plots = chaos_limit(orbits), np.random.default_rng(0), li.plots
-    ax.axvspan(0, bound, color=plots.GRAY, alpha=0.35, lw=0, label="not distinguishable from a regular motion")
-    for k, (x, error) in enumerate(zip(found, errors, strict=True)):
-        color = plots.RED if verdict(x, bound) == "chaotic" else plots.BLUE
-        ax.plot(x[1:], k + scatter.uniform(-0.2, 0.2, len(x) - 1), "o", ms=3, color=color, alpha=0.6, lw=0)
-        ax.errorbar(x[0], k, xerr=error[0], fmt="D", ms=5, color=plots.INK, capsize=2)
-    ax.plot([], [], "D", ms=5, color=plots.INK, label="state as observed, ± its error")
-    ax.plot([], [], "o", ms=3, color=plots.RED, label="members about it: chaotic as a whole")
-    ax.plot([], [], "o", ms=3, color=plots.BLUE, label="members about it: undecided, or regular")
-    names = [f"{date}\n{reading}" for date, reading, *_ in OBSERVED]
-    ax.set_yticks(range(len(names)), names, fontsize="x-small")
-    ax.invert_yaxis()
-    label = f"largest Lyapunov exponent / n, with the mean motion n = 2π / {PERIOD:g} d"
-    ax.set(xlabel=label, ylabel="date of the state; its principal axes", xlim=(0, None))
-    ax.set(title=f"{TITLE}: the observed states, and members about each")
-    ax.legend(loc="lower right")
+    fig.suptitle(f"{TITLE}: {len(chaotic)} planar motions, {len(run.t) - 1} orbits each")
     return fig
 
 

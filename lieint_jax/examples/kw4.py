@@ -28,6 +28,7 @@ SEPARATION = 2548.0  # m [OSTRO]
 PERIOD = li.report.Published(17.42, source=OSTRO)  # h
 SPIN_PERIOD = li.report.Published(2.765, source=OSTRO)  # h
 SPREAD = 0.12  # 1σ of each mass, relative: an assumption, the errors of the densities
+PARTS = ("orbit of two points", "primary's spin", "secondary's spin", "shapes, V + G m₁m₂/r")
 DT, UPRIGHT = 1800.0, 30.0  # s; °, a moon of larger obliquity counts as tumbling
 
 
@@ -52,7 +53,7 @@ def main(
         out: the store of the run; by default kw4.zarr, or kw4-2.zarr where that exists.
         resume: continue the run in `out`.
         seed: of the masses of the members.
-        pictures: draw distance, libration and its spectrum, the exchange of energy, and the errors of two schemes.
+        pictures: draw distance and libration, the errors, and the motion of the first member.
         certificate: measure what the scheme conserves along the first member.
     """
     jax.config.update("jax_enable_x64", True)
@@ -83,151 +84,63 @@ def main(
     made, states = jax.jit(jax.vmap(binary))(noise)
     run = li.run(made, states, DT, steps, save_every=4, own_step=True, store=out, resume=resume)
     motion, parts = li.measure.relative_motion(run), li.measure.pair_energies(run)
-    print(
-        li.report.text(
-            TITLE,
-            run,
-            rows(motion),
-            changed=changes(run, parts),
-            remarks=remarks(motion, parts),
-            spread="each mass 12 %",
-            time_unit="s",
-        )
-    )
-    if certificate:
-        print(f"\n{li.report.certificate(run)}")
-    if pictures:
-        one = run.member(0)
-        start = jax.tree.map(lambda x: jnp.asarray(x[0]), one.state)
-        drawn = li.plots.save(draw_orbit(motion, one, start), out.with_name(f"{out.stem}-orbit.png"))
-        print("pictures:", *drawn, *li.plots.save(draw_energy(one, start), out.with_name(f"{out.stem}-energy.png")))
-
-
-def rows(motion):
-    """Periods, precessions and librations, next to published values."""
     orbit, lines = li.measure.apsides(motion), li.measure.librations(motion)
     spins = [2 * np.pi / li.measure.mean_rate(motion.t, angle) / HOUR for angle in (motion.spin_1, motion.spin_2)]
     inclined = motion.inclination.max(axis=0) > 1e-9  # less is round-off
     node = np.where(inclined, li.measure.mean_rate(motion.t, motion.node), np.nan)
-    swing, row = np.rad2deg(abs(swings(motion)).max(axis=0)), li.report.Row
-    return [
+    libration = motion.libration - np.pi * np.round(motion.libration[0] / np.pi)  # about the multiple nearest the start
+    row, obliquity = li.report.Row, np.rad2deg(motion.obliquity.max(axis=0))
+    rows = [
         row("orbital period (h)", orbit.period / HOUR, PERIOD),
         row("primary's spin period (h)", spins[0], SPIN_PERIOD),
         row("secondary's spin period (h)", spins[1]),
         row("eccentricity of the mean ellipse", orbit.eccentricity),
         row("precession of the line of apsides (°/d)", np.rad2deg(orbit.precession_rate) * DAY),
         row("precession of the orbit's normal about L (°/d)", np.rad2deg(node) * DAY),
-        row("libration of the secondary, largest (°)", swing),
+        row("libration of the secondary, largest (°)", np.rad2deg(abs(libration).max(axis=0))),
         row("  its line at the orbit's anomalistic frequency (°)", np.rad2deg(lines.forced)),
         row("  its strongest line below that (°)", np.rad2deg(lines.free)),
         row("  the frequency of that line, over the orbit's", orbit.period / lines.free_period),
         row("line of centers from its equator, largest (°)", np.rad2deg(abs(motion.out_of_plane).max(axis=0))),
-        row("its obliquity, largest (°)", np.rad2deg(motion.obliquity.max(axis=0))),
+        row("its obliquity, largest (°)", obliquity),
+        *(
+            row(f"exchanged energy, {x} (J)", np.ptp(E, axis=0), digits=".3g")
+            for x, E in zip(PARTS, parts, strict=False)
+        ),
     ]
-
-
-def swings(motion):
-    """The libration about the multiple of π nearest to its start, (times, members)."""
-    return motion.libration - np.pi * np.round(motion.libration[0] / np.pi)
-
-
-def changes(run, parts):
-    """Energy and momenta, relative to sizes that a reader can judge."""
-    momentum = np.asarray(run.map(lambda step, z: step.system.momentum(z)))
-    P, L = momentum[..., :3], momentum[..., 3:]
-    change = li.report.Change
-    return [
-        change("energy, over |energy of the orbit|", parts.total, abs(parts.orbit[0])),
-        change("energy, over |energy|", parts.total, abs(parts.total[0])),
-        change("linear momentum, over that of the secondary", P, length(run.state.p[0, :, 1, :3])),
-        change("angular momentum, relative", L, length(L[0])),
+    P, L = np.split(np.asarray(run.map(lambda step, state: step.system.momentum(state))), 2, axis=-1)
+    of_moon, start = (np.linalg.norm(x, axis=-1, keepdims=True) for x in (run.state.p[0, :, 1, :3], L[0]))
+    changed = [
+        li.report.Change("energy, over |energy of the orbit|", parts.total, abs(parts.orbit[0])),
+        li.report.Change("energy, over |energy|", parts.total, abs(parts.total[0])),
+        li.report.Change("linear momentum, over that of the secondary", P, of_moon),
+        li.report.Change("angular momentum, relative", L, start),
     ]
-
-
-def length(x):
-    """The lengths of vectors (…, 3), (…, 1)."""
-    return np.linalg.norm(x, axis=-1, keepdims=True)
-
-
-def remarks(motion, parts):
-    """How periods are measured, which members stay upright, and how much energy is exchanged."""
-    faces = li.measure.is_librating(motion.libration)
-    upright, n = np.rad2deg(motion.obliquity).max(axis=0) < UPRIGHT, len(faces)
-    names = {
-        "orbit of two points": parts.orbit,
-        "primary's spin": parts.spin_1,
-        "secondary's spin": parts.spin_2,
-        "potential of their shapes, V + G m₁m₂/r": parts.shape,
-    }
-    lines = [
+    faces, upright = li.measure.is_librating(motion.libration).sum(), (obliquity < UPRIGHT).sum()
+    shares = ", ".join(f"{np.ptp(x[:, 0]) / abs(parts.orbit[0, 0]):.3g}" for x in parts[:4])
+    remarks = [
+        f"  exchanged energies, greatest − least, of the nominal member over |orbit's energy|: {shares}",
         f"  periods and rates: mean rates of longitudes about L over {motion.t[-1] / DAY:.4g} d, by least squares",
-        f"  {faces.sum()} of {n} members: one end of the secondary's x axis stays toward the primary",
-        f"  {upright.sum()} of {n} members: its z axis stays within {UPRIGHT:g}° of the orbit's normal",
-        f"\n  {'energy exchanged, greatest − least (J)':<52}{'nominal':>11}{'± ensemble':>12}   over |orbit's energy|",
+        f"  {faces} of {members} members: one end of the secondary's x axis stays toward the primary",
+        f"  {upright} of {members} members: its z axis stays within {UPRIGHT:g}° of the orbit's normal",
     ]
-    for name, energy in names.items():
-        exchanged = np.ptp(energy, axis=0)
-        spread = f"{exchanged.std(ddof=1):.2g}" if n > 1 else "—"
-        lines.append(f"  {name:<52}{exchanged[0]:>11.3g}{spread:>12}   {exchanged[0] / abs(parts.orbit[0, 0]):.3g}")
-    return lines
+    print(li.report.text(TITLE, run, rows, changed=changed, remarks=remarks, spread="each mass 12 %", time_unit="s"))
+    if certificate:
+        print(f"\n{li.report.certificate(run)}")
+    if pictures:
+        drawn = li.plots.save(draw(motion, np.rad2deg(libration)), out.with_name(f"{out.stem}-orbit.png"))
+        print("pictures:", *drawn, *li.plots.overview(run, out, TITLE))
 
 
 @li.plots.style()
-def draw_orbit(motion, one, start):
-    """Plot the distance and the libration of the members, and the spectrum of the nominal one's libration."""
-    plots, days = li.plots, motion.t / DAY
-    fig, [axes] = plots.figure(3)
+def draw(motion, libration):
+    """Plot the distance and the libration of the members."""
+    fig, [axes] = li.plots.figure(2)
+    for ax, x, label in zip(
+        axes, (motion.distance, libration), ("distance (m)", "libration of the moon (°)"), strict=True
+    ):
+        li.plots.member_series(ax, motion.t / DAY, x, label, "d")
     fig.suptitle(TITLE)
-    panels = {"distance (m)": motion.distance, "libration of the moon (°)": np.rad2deg(swings(motion))}
-    for ax, (label, x) in zip(axes, panels.items(), strict=False):
-        if x.shape[1] > 1:
-            low, high = np.percentile(x, [5, 95], axis=1)
-            ax.fill_between(days, low, high, color=plots.GRAY, lw=0, label=f"90 % of {x.shape[1]} members")
-        ax.plot(days, x[:, 0], color=plots.BLUE, lw=0.8, label="nominal member")
-        ax.set(xlabel="t (d)", ylabel=label)
-        ax.margins(x=0.01, y=0.15)
-    axes[0].legend(loc="upper right", ncols=2)
-    # A run that is 8 times as long resolves the lines of the spectrum.
-    long = li.run(one.step, start, DT, 8 * one.facts.num_steps, save_every=4, progress=False)
-    found = li.measure.relative_motion(long)
-    f, amplitude = li.measure.spectrum(found.t, np.rad2deg(found.libration))
-    orbit, (A, B, C) = li.measure.apsides(found), np.asarray(one.system.inertias[1])
-    shown = (f > 0) & (f * orbit.period < 3)
-    axes[2].semilogy(f[shown] * orbit.period, amplitude[shown], color=plots.INK, lw=0.7)
-    free = np.sqrt(3 * (B - A) / C)  # of a small swing on a circle, over the orbit's
-    marks = {"from apsis to apsis": orbit.period / orbit.anomalistic_period, "free libration, √(3(B−A)/C)": free}
-    for (label, x), color in zip(marks.items(), (plots.RED, plots.GREEN), strict=True):
-        axes[2].axvline(x, color=color, ls="--", lw=0.9, label=label)
-    axes[2].set(xlim=(0, 3), xlabel="frequency over that of the orbit", ylabel="amplitude of the libration (°)")
-    axes[2].set_title(f"nominal member, {found.t[-1] / DAY:.4g} d")
-    axes[2].legend(loc="upper right")
-    return fig
-
-
-@li.plots.style()
-def draw_energy(one, start):
-    """Plot the exchange of energy in 75 hours, four orbits, and the errors of two schemes; of the nominal member."""
-    fig, [[left, right]] = li.plots.figure(2)
-    fig.suptitle(TITLE)
-    brief = li.run(one.step, start, DT / 4, 600, progress=False)  # the primary rotates once in 22 steps
-    parts = li.measure.pair_energies(brief)
-    names = {"orbit": parts.orbit, "primary's spin": parts.spin_1, "secondary's spin": parts.spin_2}
-    names["shapes, V + Gm₁m₂/r"] = parts.shape
-    curves = {name: (x - x[0]) / abs(parts.orbit[0]) for name, x in names.items()}
-    li.plots.series(left, brief.t / DAY, curves, "change over |energy of the orbit|", "d")
-    left.set_title("exchange of energy")
-    left.margins(y=0.25)
-    left.legend(loc="upper center", ncols=2)
-    errors = {}
-    for step in (one.step, li.schemes.bodies_energy_momentum(one.system)):
-        made = li.run(step, start, DT, one.facts.num_steps, save_every=4, progress=False)
-        L = np.asarray(made.map(lambda step, z: step.system.momentum(z)[3:]))
-        errors[f"H, {step.name}"] = made.energy_error() / abs(one.system.energy(start))
-        errors[f"L, {step.name}"] = np.linalg.norm(L - L[0], axis=1) / np.linalg.norm(L[0])
-    li.plots.log_error(right, made.t / DAY, errors, "relative change", "d")
-    right.set_title("energy H and angular momentum L")
-    right.set_ylim(top=1e3 * right.get_ylim()[1])  # room for the legend
-    right.legend(loc="upper center", ncols=2)
     return fig
 
 

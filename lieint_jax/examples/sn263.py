@@ -5,6 +5,7 @@ the flattening of Alpha rotates Gamma's line of apsides. Masses, periods, eccent
 orbits, sizes and spins are published, and rounded here. Units are m, kg and s, in the report also hours and days.
 """
 
+import itertools
 from pathlib import Path
 from typing import Literal
 
@@ -57,7 +58,7 @@ def main(
         out: the store of the run; by default sn263.zarr, or sn263-2.zarr where that exists.
         resume: continue the run in `out`.
         seed: of the masses of the members.
-        pictures: draw the paths and distances of the nominal member, and the errors.
+        pictures: draw the paths and distances of the nominal member, the errors, and the motion.
         certificate: measure what the scheme conserves along the first member.
     """
     jax.config.update("jax_enable_x64", True)
@@ -77,23 +78,33 @@ def main(
     noise = jax.random.normal(jax.random.key(seed), (members,)).at[0].set(0.0)
     made, states = jax.jit(jax.vmap(triple))(noise)
     run = li.run(made, states, 1200.0, steps, save_every=2, own_step=True, store=out, resume=resume)
-    distances, changed = li.measure.distances(run), changes(run)
-    print(
-        li.report.text(
-            TITLE,
-            run,
-            [*rows_of_distances(distances), *rows_of_motion(run)],
-            changed=changed,
-            remarks=[f"  periods: mean rates of longitudes about L over {run.t[-1] / DAY:.4g} d, by least squares"],
-            spread="Alpha's mass 0.24 %",
-            time_unit="s",
-        )
-    )
+    rows, distances = [], li.measure.distances(run)
+    for (i, j), x in zip(itertools.combinations(NAMES, 2), np.moveaxis(distances, -1, 0), strict=True):
+        rows += [row(f"{i}–{j}: least distance (m)", x.min(axis=0)), row("  greatest (m)", x.max(axis=0))]
+    for k in (1, 2):
+        orbit = li.measure.apsides(li.measure.relative_motion(run, 0, k))
+        rotation = np.rad2deg(orbit.precession_rate) * DAY
+        rows += [
+            row(f"{NAMES[k]} about Alpha: period (h)", orbit.period / HOUR, ORBITAL_PERIODS[k]),
+            row("  eccentricity of the mean ellipse", orbit.eccentricity),
+            row("  precession of the line of apsides (°/d)", rotation, PRECESSIONS.get(k, ())),
+        ]
+    periods = 2 * np.pi / li.measure.rotation_rates(run).mean(axis=0).T / HOUR
+    for k, name in enumerate(NAMES):
+        rows.append(row(f"{name}: rotation period, mean rate (h)", periods[k], ROTATIONS.get(k, ())))
+    remarks = [f"  periods: mean rates of longitudes about L over {run.t[-1] / DAY:.4g} d, by least squares"]
+    about = {"changed": changes(run), "remarks": remarks, "spread": "Alpha's mass 0.24 %", "time_unit": "s"}
+    print(li.report.text(TITLE, run, rows, **about))
     if certificate:
         print(f"\n{li.report.certificate(run)}")
     if pictures:
-        figure = draw_motion(run, distances, changed)
-        print("pictures:", *li.plots.save(figure, out.with_name(f"{out.stem}-motion.png")))
+        drawn = li.plots.save(draw(run, distances), out.with_name(f"{out.stem}-paths.png"))
+        print("pictures:", *drawn, *li.plots.overview(run, out, TITLE))
+
+
+def row(name, values, published=()):
+    """A row with six digits."""
+    return li.report.Row(name, values, published, digits=".6g")
 
 
 def changes(run):
@@ -117,57 +128,17 @@ def changes(run):
     ]
 
 
-def rows_of_distances(distances):
-    """The least and the greatest distance of each pair."""
-    rows = []
-    for k, (i, j) in enumerate(zip(*np.triu_indices(3, 1), strict=True)):
-        x = distances[..., k]
-        rows.append(li.report.Row(f"{NAMES[i]}–{NAMES[j]}: least distance (m)", x.min(axis=0), digits=".6g"))
-        rows.append(li.report.Row("  greatest (m)", x.max(axis=0), digits=".6g"))
-    return rows
-
-
-def rows_of_motion(run):
-    """The mean orbits about Alpha, and the rotation periods."""
-    rows = []
-    for k in (1, 2):
-        orbit = li.measure.apsides(li.measure.relative_motion(run, 0, k))
-        precession = np.rad2deg(orbit.precession_rate) * DAY
-        rows += [
-            li.report.Row(f"{NAMES[k]} about Alpha: period (h)", orbit.period / HOUR, ORBITAL_PERIODS[k], digits=".6g"),
-            li.report.Row("  eccentricity of the mean ellipse", orbit.eccentricity, digits=".6g"),
-            li.report.Row(
-                "  precession of the line of apsides (°/d)", precession, PRECESSIONS.get(k, ()), digits=".6g"
-            ),
-        ]
-    periods = 2 * np.pi / li.measure.rotation_rates(run).mean(axis=0) / HOUR
-    for k, name in enumerate(NAMES):
-        published = ROTATIONS.get(k, ())
-        rows.append(li.report.Row(f"{name}: rotation period, mean rate (h)", periods[:, k], published, digits=".6g"))
-    return rows
-
-
 @li.plots.style()
-def draw_motion(run, distances, changed):
-    """Plot the paths about the barycenter and the distances of the nominal member, and the errors of all."""
-    plots, days = li.plots, run.t / DAY
-    fig, [[left, middle, right]] = plots.figure(3)
-    fig.suptitle(TITLE)
-    x = np.asarray(run.state.q)[:, 0, :, :3]
-    plots.paths(left, dict(zip(NAMES, np.moveaxis(x, 1, 0), strict=True)))
-    left.set(xlabel="x (m)", ylabel="y (m)", title="nominal member, about the barycenter")
-    left.legend(loc="upper left", bbox_to_anchor=(1, 1))
-    plots.series(middle, days, dict(zip(NAMES[1:], distances[:, 0, :2].T, strict=True)), "distance from Alpha (m)", "d")
-    for curve, look in zip(middle.lines, plots.STYLES[1:], strict=False):  # the style of each body's path
-        curve.set(**look)
-    middle.legend()
-    middle.set_title("nominal member")
-    errors = {}
-    for x in changed:
-        change = abs(x.values - x.values[0]) / x.size
-        errors[x.name.partition(",")[0]] = change.reshape(len(days), -1).max(axis=1)
-    plots.log_error(right, days, errors, "relative change, worst member", "d")
-    right.set_title(run.step.name)
+def draw(run, distances):
+    """Plot the paths about the barycenter and the distances of the moons from Alpha, of the nominal member."""
+    fig, [[left, right]] = li.plots.figure(2)
+    li.plots.paths(left, dict(zip(NAMES, np.moveaxis(np.asarray(run.state.q)[:, 0, :, :3], 1, 0), strict=True)))
+    left.set(xlabel="x (m)", ylabel="y (m)", title="about the barycenter")
+    moons = dict(zip(NAMES[1:], distances[:, 0, :2].T, strict=True))
+    li.plots.series(right, run.t / DAY, moons, "distance from Alpha (m)", "d")
+    for ax in (left, right):
+        ax.legend()
+    fig.suptitle(f"{TITLE}, nominal member")
     return fig
 
 

@@ -13,6 +13,7 @@ from numpy.typing import ArrayLike
 from lieint_jax.types.shapes import PyTree
 
 _EDGE = 1e-6  # distance from a side over that of the first guess, below which a coordinate counts as at its bound
+_APPROACH = 0.999  # the part of the way to a side that a step may go
 _RANGE = 0.9  # part of the range of floating-point numbers that `inside` uses
 
 
@@ -58,6 +59,17 @@ class Box(NamedTuple):
     def changes(self, y: Array, gradient: Array, size: Array) -> Array:
         """By how much the loss would change along each coordinate on a way of length `size`, or to the side."""
         return jnp.abs(gradient) * jnp.minimum(jnp.where(size > 0, size, 1), self._room(y, gradient))
+
+    def reach(self, y: Array) -> tuple[Array, Array]:
+        """The lowest and the highest step of each coordinate, which end slightly inside its sides."""
+        low, high = self._sides(y)
+        return _APPROACH * (low - y), _APPROACH * (high - y)
+
+    def shortened(self, y: Array, step: Array) -> Array:
+        """A step from y, or the part of it that stays inside."""
+        low, high = self.reach(y)
+        room = jnp.where(step > 0, high, -low)
+        return step * jnp.min(jnp.where(jnp.abs(step) > room, room / jnp.where(step != 0, jnp.abs(step), 1), 1))
 
     def at_side(self, y: Array, start: Array) -> Array:
         """True for coordinates whose distance from a side is negligible compared with that of the first guess."""

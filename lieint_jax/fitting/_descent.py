@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import jax
 import jax.numpy as jnp
-from jax import Array
+from jax import Array, lax
 
 from lieint_jax.fitting._box import Box
 from lieint_jax.fitting._search import FLAT, RUNNING, SHORTENINGS, STILL, STUCK, Carry, Method, where
@@ -24,6 +24,7 @@ Scalar = Callable[[Array], tuple[Array, Array]]
 _QUIET = {"lbfgs": 3, "other": 10}  # iterations in a row without a notable fall of the loss that end a search
 _LEVEL = 1e-5  # |gradient · y| over the loss, below which such an end is a success
 _SEARCHES = 3  # failed line searches in a row that end a search
+NEWTON = 200  # the most coordinates for which Newton's step is computed at the end of a search
 
 
 class _Memory(NamedTuple):
@@ -188,3 +189,36 @@ def lbfgs(scalar: Scalar, box: Box, tolerance: float) -> Method:
         return Carry(x, value, memory, _stop_code(box, x, value, memory, ended, tolerance), bad, carry.failures + ~ok)
 
     return Method(first, iterate)
+
+
+def newton_step(
+    loss: Callable[[Array], Array], box: Box, y: Array, held: Array, largest: Array, tolerance: float
+) -> tuple[Array, Array]:
+    """Newton's step of a loss in the box, with some coordinates `held`, and its excess for each coordinate, (p,).
+
+    The excess is the step over what is negligible: the square root of the tolerance, since the loss is quadratic, of
+    the coordinate, or the tolerance itself of the `largest` coordinate so far. Along directions of which rounding
+    errors hide the second derivative, the step is what it is at least.
+    The second derivatives are exact, or by central differences of the gradient through `li.observe` and `reversible`,
+    which support reverse mode only.
+    """
+    gradient, eps = jax.grad(loss), jnp.finfo(y.dtype).eps
+    directions = jnp.eye(y.size, dtype=y.dtype)
+    try:
+        H = lax.map(lambda v: jax.jvp(gradient, (y,), (v,))[1], directions)
+    except TypeError as error:
+        if "custom_vjp" not in str(error):
+            raise
+        h = jnp.cbrt(eps) * jnp.where(largest > 0, largest, 1)
+        H = lax.map(lambda v: (gradient(y + h * v) - gradient(y - h * v)) / (2 * (h @ v)), directions)
+    free = ~held & jnp.any(H != 0, axis=0)
+    H = jnp.where(free[:, None] & free, (H + H.T) / 2, 0)
+    diagonal, rows = jnp.abs(jnp.diagonal(H)), jnp.max(jnp.abs(H), axis=1)
+    unit = 1 / jnp.sqrt(jnp.where(free, jnp.maximum(diagonal, eps * rows), 1))
+    values, V = jnp.linalg.eigh(unit[:, None] * H * unit)
+    floor = y.size * eps * jnp.max(jnp.abs(values))
+    step = -unit * (V @ (V.T @ jnp.where(free, unit * gradient(y), 0) / jnp.maximum(jnp.abs(values), floor)))
+    small = jnp.maximum(tolerance, 8 * eps)
+    negligible = jnp.maximum(jnp.sqrt(small) * jnp.abs(y), small * largest)
+    step = jnp.where(free, step, 0)
+    return box.shortened(y, step), jnp.abs(step) / jnp.where(negligible > 0, negligible, 1)

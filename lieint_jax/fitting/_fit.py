@@ -24,17 +24,22 @@ from lieint_jax import _checks
 from lieint_jax._xla import remembered
 from lieint_jax.fitting import _bounds
 from lieint_jax.fitting._box import Box
-from lieint_jax.fitting._descent import descent, lbfgs
+from lieint_jax.fitting._descent import NEWTON, descent, lbfgs, newton_step
 from lieint_jax.fitting._least_squares import jacobian, least_squares, spread
 from lieint_jax.fitting._outcome import End, Fit, Params, number_names, outcome, parameter_names
 from lieint_jax.fitting._scipy import Look, is_stuck
 from lieint_jax.fitting._scipy import least_squares as by_scipy
 from lieint_jax.fitting._search import (
     BEYOND,
+    FLAT,
     GOOD,
+    HIDDEN,
     NOWHERE,
     REASONS,
     RUNNING,
+    SETTLED,
+    SHORTENINGS,
+    STILL,
     STUCK,
     TARGET,
     Carry,
@@ -124,11 +129,19 @@ def fit(
             "lbfgs" (optax, zoom line search), "adam", or any `optax.GradientTransformation`.
         bounds: a `Bound`, or a tree of them that is a prefix of the tree of parameters. No trial leaves them.
         iterations: the largest number of iterations.
-        tolerance: a relative tolerance. Least squares stops when the Gauss–Newton step within the bounds would lower
-            the loss by less than this fraction, or is shorter than this fraction of the parameters. Other methods stop
-            when the gradient is below this fraction of its largest value so far; or when the relative decrease of the
-            loss is below it three times in a row ("lbfgs") or ten times (others), which is a success if the gradient
-            times the parameters, or times their distance from a bound, is below 1e-5 of the loss.
+        tolerance: a relative tolerance, of at least 8 units of round-off. Least squares stops when the Gauss–Newton
+            step within the bounds would lower the loss by less than this fraction, or is shorter than this fraction of
+            the parameters; or when the loss no longer falls and the gradient has vanished. Other methods stop when the
+            gradient is below this fraction of its largest value so far; or when the relative decrease of the loss is
+            below it three times in a row ("lbfgs") or ten times (others), which is a success if the gradient times the
+            parameters, or times their distance from a bound, is below 1e-5 of the loss.
+            All these may hide parameters to which the loss is not sensitive. So for a success the next step must be
+            small for each parameter (tensors: each coordinate) that is not at a bound: below the square root of the
+            tolerance times the parameter, or below the tolerance times its largest value so far. For least squares it
+            is the part of the Gauss–Newton step that lowers the loss by less than the tolerance, and may also be below
+            the square root times the sum of what the residuals, one by one, contribute to it: at a minimum these
+            cancel. For other methods it is Newton's step, for up to 200 parameters. The search goes on with these
+            steps until they are small, or no longer become smaller, which is no success.
         target: stop when the loss is at most this.
         standardized: whether residuals are in units of their standard deviation, so that twice the loss should be χ²
             distributed. If it exceeds the quantile of 1 − 1e-6, the fit is not a success. The residuals are computed
@@ -170,9 +183,13 @@ def fit(
         search, history = _by_scipy(problem, programs, search, data, iterations)
     else:
         search, history = _iterate(lambda s: programs.iterate(s, data), search, iterations, progress)
+    if problem.has_residuals:
+        far = search.carry.memory.excess > 1
+    else:
+        search, history, far = _newton(problem, programs, search, y, data, history, iterations)
     at_side, matrix, rank = programs.finish(search, y)
     degrees = None if rank is None else search.carry.memory.r.shape[-1] - rank
-    end = End(at_side, search.least, search.carry.code, search.made, search.carry.failures, matrix, degrees)
+    end = End(at_side, search.least, search.carry.code, search.made, search.carry.failures, matrix, degrees, far)
     end = jax.tree.map(np.asarray, end)
     estimates = programs.params(search.best)
     names = parameter_names(tree)
@@ -303,8 +320,21 @@ class _Problem:
         if self.target is not None:
             reached = (after.code == RUNNING) & (after.loss <= self.target)
             after = after._replace(code=jnp.where(reached, TARGET, after.code))
-        best, least = where(after.loss < old.least, (after.x, after.loss), (old.best, old.least))
+        best, least = where(after.loss <= old.least, (after.x, after.loss), (old.best, old.least))
         return where(old.carry.code == RUNNING, _Search(after, best, least, old.made + 1), old)
+
+    def newton(self, search: _Search, start: Array, data: PyTree) -> tuple[Array, Array]:
+        """Newton's step of a scalar loss from the best point, and its excess, as in `newton_step`."""
+        more = () if data is None else (data,)
+        y = self.coordinates(search.best)
+        return newton_step(
+            lambda y: value_and_flag(self.loss(self._of_coordinates(y), *more))[0],
+            self.box,
+            y,
+            self.box.at_side(y, start),
+            search.carry.memory.size,
+            self.tolerance,
+        )
 
     def finish(self, search: _Search, start: Array) -> tuple[Array, Array | None, Array | None]:
         """Which coordinates are at a side of the box; for residuals the covariance of the parameters and J's rank."""
@@ -344,6 +374,7 @@ class _Programs(NamedTuple):
 
     begin: Callable[..., _Search]
     iterate: Callable[..., _Search]
+    newton: Callable[..., tuple[Array, Array]]
     finish: Callable[..., tuple[Array, Array | None, Array | None]]
     params: Callable[[Array], PyTree]
     halved: Callable[..., tuple[Array, Array, float] | None]
@@ -354,8 +385,8 @@ def _programs(problem: _Problem, starts: bool, mesh: Mesh | None) -> _Programs:
     """The programs of a problem, those of an earlier and equal one where there are any."""
     compiled = partial(over_members, mesh=mesh) if starts else jax.jit
     params = jax.jit(jax.vmap(problem.params)) if starts else problem.params
-    begin, iterate, finish = map(compiled, (problem.begin, problem.iterate, problem.finish))
-    return _Programs(begin, iterate, finish, params, jax.jit(problem.halved))
+    begin, iterate, newton, finish = map(compiled, (problem.begin, problem.iterate, problem.newton, problem.finish))
+    return _Programs(begin, iterate, newton, finish, params, jax.jit(problem.halved))
 
 
 def _iterate(
@@ -374,6 +405,50 @@ def _iterate(
             bar.update()
             bar.set_postfix_str(f"loss {np.nanmin(history[-1]):.4g}")
     return search, np.stack(history)
+
+
+def _newton(
+    problem: _Problem,
+    programs: _Programs,
+    search: _Search,
+    start: Array,
+    data: PyTree,
+    history: np.ndarray,
+    iterations: int,
+) -> tuple[_Search, np.ndarray, np.ndarray]:
+    """A search of a scalar loss after Newton's steps from its good end, until they are negligible for every coordinate.
+
+    They go on while the loss falls, or the steps become shorter where it does not tell. Returned are the search, its
+    losses, and which coordinates the next step would still move.
+    """
+    small = max(problem.tolerance, 8 * float(jnp.finfo(start.dtype).eps))
+    judged = np.isin(search.carry.code, (FLAT, STILL, SETTLED))
+    if not judged.any() or start.shape[-1] > NEWTON:
+        return search, history, np.zeros(start.shape, bool)
+    before = np.full(judged.shape, np.inf)  # the excess of the last step, inf where the loss fell by it
+    while True:
+        step, excess = programs.newton(search, start, data)
+        far, worst = judged[..., None] & (np.asarray(excess) > 1), np.max(excess, axis=-1)
+        moves = far.any(axis=-1) & (worst < before) & (np.asarray(search.made) < iterations)
+        if not moves.any():
+            break
+        y, least = problem.coordinates(search.best), np.asarray(search.least)
+        made, before = search.made + moves, np.where(moves, worst, before)
+        for k in range(SHORTENINGS):
+            trial = programs.begin(y + step / 2**k, data)
+            taken = moves & (np.asarray(trial.carry.code) == RUNNING) & (trial.least <= least + small * np.abs(least))
+            before = np.where(taken & (trial.least < least - small * np.abs(least)), np.inf, before)
+            search = search._replace(
+                best=jnp.where(taken[..., None], trial.best, search.best),
+                least=jnp.where(taken, jnp.minimum(trial.least, least), search.least),
+            )
+            moves = moves & ~taken
+            if not moves.any():
+                break
+        search = search._replace(made=made)
+        history = np.concatenate([history, np.asarray(search.least)[None]])
+    code = jnp.where(far.any(axis=-1), HIDDEN, search.carry.code)
+    return search._replace(carry=search.carry._replace(code=code)), history, far
 
 
 def _by_scipy(
@@ -397,8 +472,14 @@ def _by_scipy(
     if code != RUNNING and is_stuck(found, here, float(memory.newton), problem.box):
         code = STUCK
     code = TARGET if problem.target is not None and float(end.least) <= problem.target else code
-    carry = end.carry._replace(code=np.int32(code), failures=np.int32(len(found.failed)))
-    return end._replace(carry=carry, made=np.int32(len(found.history) - 1)), found.history  # pyright: ignore
+    made = len(found.history) - 1
+    carry = end.carry._replace(failures=np.int32(len(found.failed)))
+    end = end._replace(carry=carry, made=np.int32(made))  # pyright: ignore
+    if code in (FLAT, STILL, SETTLED) and np.any(memory.excess > 1):
+        end = end._replace(carry=carry._replace(code=np.int32(RUNNING)))
+        end, more = _iterate(lambda s: programs.iterate(s, data), end, iterations - made, False)
+        return end, np.concatenate([found.history, more[1:]])
+    return end._replace(carry=carry._replace(code=np.int32(code))), found.history  # pyright: ignore
 
 
 def covariance(residuals: Callable[..., PyTree], params: PyTree) -> Array:

@@ -13,6 +13,7 @@ from lieint_jax.fitting._box import Box
 from lieint_jax.fitting._search import (
     BEYOND,
     FLAT,
+    HIDDEN,
     NOWHERE,
     RUNNING,
     SETTLED,
@@ -26,7 +27,6 @@ from lieint_jax.fitting._search import (
 from lieint_jax.fitting._trust_region import Step, above_rounding, bounded_step, svd
 from lieint_jax.types.shapes import PyTree
 
-_APPROACH = 0.999  # the part of the way to a side that a step may go
 _FIRST = 0.1  # the first trust radius, over the size of the coordinates or of 1
 _ROUNDING = 8  # units of round-off that are negligible
 
@@ -42,6 +42,9 @@ class _Memory(NamedTuple):
         step: the step that is tried next, times D.
         newton: the length of the step of Gauss–Newton, times D.
         begin: the loss of the first guess.
+        largest: the largest absolute values of the coordinates so far, (p,).
+        excess: the step of Gauss–Newton that the loss does not show, over what is negligible, (p,), as in `_unseen`.
+        polishes: whether that step is tried next, since all else has converged.
     """
 
     r: Array
@@ -51,6 +54,9 @@ class _Memory(NamedTuple):
     step: Step
     newton: Array
     begin: Array
+    largest: Array
+    excess: Array
+    polishes: Array
 
 
 def least_squares(
@@ -61,7 +67,9 @@ def least_squares(
     A step δ minimizes |r + Jδ| with |Dδ| within the radius and x + δ in the box, slightly inside its sides; D holds the
     largest norms of the columns of J so far. If `undamped`, δ is the Gauss–Newton step in the box, halved until the
     loss decreases. The search has converged when the Gauss–Newton step is negligible, or when the decrease of the loss
-    is negligible compared with the loss or with the round-off of the first loss.
+    is negligible compared with the loss or with the round-off of the first loss. Loss and |Dδ| are those of the largest
+    residuals: what these hide of the Gauss–Newton step must be negligible for every coordinate (`_unseen`). Where it is
+    not, that part is the next step, as long as it becomes shorter.
 
     Source: Moré 1978, Lecture Notes in Mathematics 630; here by singular values, and with a box.
     """
@@ -80,33 +88,42 @@ def least_squares(
         if not r.size:
             raise ValueError("the loss returned no residuals: least squares needs at least one number")
         one, none = jnp.ones((), r.dtype), jnp.zeros_like(J[0])
-        step = Step(none, 0 * one, 0 * one)
-        return jnp.inf * one, _Memory(r, J, none, one, step, one, 0 * one), jnp.ones((), bool)
+        step, false = Step(none, 0 * one, 0 * one), jnp.zeros((), bool)
+        memory = _Memory(r, J, none, one, step, one, 0 * one, none, none, false)
+        return jnp.inf * one, memory, ~false
 
     def iterate(carry: Carry) -> Carry:
-        r, J, D, radius, step, length, begin = carry.memory
+        r, J, D, radius, step, length, begin, largest, before, polishes = carry.memory
         begun = jnp.isfinite(carry.loss)
+        small = jnp.maximum(tolerance, _ROUNDING * jnp.finfo(carry.x.dtype).eps)
         x = carry.x + step.z / _scale(D)
         trial, J_trial, ok = look(x)
         loss = jnp.vdot(trial, trial) / 2
         fall = carry.loss - loss
-        better = ok & ((fall >= 1e-4 * step.fall) | ~begun)
+        lower = jnp.where(polishes, -fall <= small * carry.loss + _rounding(begin), fall >= 1e-4 * step.fall)
+        better = ok & (lower | ~begun)
         grown = jnp.maximum(D, _column_norms(J_trial))
         fraction = jnp.where(better, jnp.minimum(1, 2 * radius), radius / 2)  # of the next step of Gauss–Newton
         adapted = fraction if undamped else _radius(radius, better, fall, step)
         opening = 1 if undamped else _FIRST * jnp.linalg.norm(grown * jnp.maximum(jnp.abs(x), 1))
-        radius = jnp.where(begun, adapted, opening)
+        radius = jnp.where(polishes, radius, jnp.where(begun, adapted, opening))
         r, J, D = where(better, (trial, J_trial, grown), (r, J, D))
-        x, loss = where(better, (x, loss), (carry.x, carry.loss))
+        x, loss = where(better, (x, jnp.minimum(loss, carry.loss)), (carry.x, carry.loss))
+        begin, largest = jnp.where(begun, begin, loss), jnp.maximum(largest, jnp.abs(x))
         newton, ahead = _next_steps(box, undamped, x, r, J, D, radius)
-        memory = _Memory(r, J, D, radius, ahead, jnp.linalg.norm(newton.z), jnp.where(begun, begin, loss))
-        small, size = jnp.maximum(tolerance, _ROUNDING * jnp.finfo(x.dtype).eps), jnp.linalg.norm(D * x)
+        unseen, excess = _unseen(box, x, r, J, D, newton, loss, begin, largest, small)
+        size = jnp.linalg.norm(D * x)
+        memory = _Memory(r, J, D, radius, ahead, jnp.linalg.norm(newton.z), begin, largest, excess, polishes)
         still = begun & ok & (jnp.maximum(jnp.abs(fall), step.fall) <= small * loss)
         arrived = _stop_code(box, x, loss, memory, newton, still, small)
         arrived = jnp.where((arrived == RUNNING) & begun & ok & (length <= small * size), SETTLED, arrived)
+        moves = (arrived != RUNNING) & jnp.any(excess > 1)
+        hidden = moves & polishes & ~(better & (jnp.max(excess) < jnp.max(before)))
+        arrived = jnp.where(moves, jnp.where(hidden, HIDDEN, RUNNING), arrived)
+        memory = memory._replace(step=where(moves, unseen, ahead), polishes=moves)
         bad = jnp.where(better, 0, carry.bad + 1)
         minute = begun & (jnp.linalg.norm(step.z) <= jnp.finfo(x.dtype).eps * size)
-        code = jnp.where((arrived == RUNNING) & (minute | (bad > SHORTENINGS)), STUCK, arrived)
+        code = jnp.where((arrived == RUNNING) & ~moves & (minute | (bad > SHORTENINGS)), STUCK, arrived)
         code = jnp.where(jnp.isfinite(loss), code, NOWHERE)
         beyond = ok & ~begun & (jnp.isinf(loss) | (loss == 0) & jnp.any(r != 0))
         code = jnp.where(beyond, BEYOND, code)
@@ -142,15 +159,59 @@ def _stop_code(box: Box, x: Array, loss: Array, memory: _Memory, newton: Step, s
     norm, size = jnp.linalg.norm(r), _column_norms(J)
     cosines = jnp.abs(J.T @ r) / jnp.where(size * norm > 0, size * norm, 1)
     cosine = jnp.max(cosines * jnp.minimum(1, room * size / jnp.where(norm > 0, norm, 1)))
-    rounding = (_ROUNDING * jnp.finfo(x.dtype).eps) ** 2 * memory.begin
-    flat = (newton.fall <= jnp.maximum(small * loss, rounding)) | (cosine <= small)
+    flat = (newton.fall <= jnp.maximum(small * loss, _rounding(memory.begin))) | (cosine <= small)
     return jnp.where(flat, FLAT, jnp.where(still & (cosine <= jnp.sqrt(small)), STILL, RUNNING))
+
+
+def _rounding(begin: Array) -> Array:
+    """The loss of residuals that are rounding errors of the first ones, whose loss is `begin`."""
+    return (_ROUNDING * jnp.finfo(begin.dtype).eps) ** 2 * begin
+
+
+def _unseen(
+    box: Box,
+    x: Array,
+    r: Array,
+    J: Array,
+    D: Array,
+    newton: Step,
+    loss: Array,
+    begin: Array,
+    largest: Array,
+    small: Array,
+) -> tuple[Step, Array]:
+    """The part of the Gauss–Newton step that tests of the loss and of |Dδ| neglect, and each coordinate's excess, (p,).
+
+    It is the sum of the singular vectors of J, scaled by D, along which the loss falls by a negligible part of itself,
+    or |Dδ| is a negligible part of |Dx|. Where some residuals weigh 10⁸ times as much as the others, these vectors may
+    be long in coordinates that only the others determine. The excess is |δ| over what is negligible: the square root
+    of the tolerance, since the loss is quadratic, of the coordinate or of the contributions of single residuals to the
+    step, which cancel at a minimum; or the tolerance itself of the largest coordinate so far. Units of residuals and
+    coordinates do not matter.
+    """
+    scale = _scale(D)
+    low, high = (scale * side for side in box.reach(x))
+    held = (newton.z <= low) | (newton.z >= high)
+    A = jnp.where(held, 0, J / scale)
+    rest = r + J @ jnp.where(held, newton.z / scale, 0)
+    U, s, Vt = svd(A)
+    along, floor = U.T @ rest, jnp.maximum(small * loss, _rounding(begin))
+    known = above_rounding(s, A)
+    neglected = (along**2 / 2 <= floor) | (jnp.abs(along) <= small * jnp.linalg.norm(D * x) * s)
+    inverse = Vt.T * jnp.where(known & neglected, 1 / jnp.where(known, s, 1), 0)
+    contributions = jnp.abs(inverse @ U.T) @ jnp.abs(rest)
+    to_side = jnp.where(jnp.abs(newton.z * (J.T @ r)) <= floor * scale, newton.z, 0)
+    z = jnp.where(held, to_side, -inverse @ along)
+    negligible = jnp.maximum(jnp.sqrt(small) * jnp.maximum(scale * jnp.abs(x), contributions), small * scale * largest)
+    negligible = jnp.where(held, jnp.sqrt(small) * scale * largest, negligible)
+    excess = jnp.abs(z) / jnp.where(negligible > 0, negligible, 1)
+    return Step(scale * box.shortened(x, z / scale), 0 * loss, 0 * loss), excess
 
 
 def _next_steps(box: Box, undamped: bool, x: Array, r: Array, J: Array, D: Array, radius: Array) -> tuple[Step, Step]:
     """The step of Gauss–Newton in the box, and the one to try."""
     scale = _scale(D)
-    low, high = (_APPROACH * (jnp.asarray(side, x.dtype) - x) * scale for side in box)
+    low, high = (scale * side for side in box.reach(x))
     radii = jnp.stack([jnp.full_like(radius, jnp.inf), radius])
     both = jax.vmap(lambda radius: bounded_step(J / scale, r, radius, low, high))(radii)
     newton, damped = (Step(*(leaf[k] for leaf in both)) for k in range(2))

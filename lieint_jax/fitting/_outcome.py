@@ -10,7 +10,7 @@ import jax.numpy as jnp
 import numpy as np
 from jax.flatten_util import ravel_pytree
 
-from lieint_jax.fitting._search import BEYOND, GOOD, NOWHERE, REASONS, RUNNING, STUCK
+from lieint_jax.fitting._search import BEYOND, GOOD, HIDDEN, NOWHERE, REASONS, RUNNING, STUCK
 from lieint_jax.types.shapes import PyTree
 
 Params = TypeVar("Params")  # a tree of arrays
@@ -23,6 +23,7 @@ _TRY = {
     STUCK: "look for noise or jumps in the loss and for failing solves, or fit from several guesses with starts=True",
     NOWHERE: "start where loss and gradient are finite and the solves converge",
     BEYOND: "divide the residuals by their standard deviation",
+    HIDDEN: "give residuals of levenberg_marquardt more equal weights, or fit these parameters with the others held",
 }
 
 
@@ -159,6 +160,7 @@ class End(NamedTuple):
         failures: the numbers of failed trials.
         covariance: of the parameters, or None.
         degrees: degrees of freedom, or None.
+        far: which coordinates a step of Newton or Gauss–Newton, which the loss hides, still moves, (p,).
     """
 
     at_side: _Numbers
@@ -168,6 +170,7 @@ class End(NamedTuple):
     failures: _Numbers
     covariance: _Numbers | None
     degrees: _Numbers
+    far: _Numbers
 
 
 def outcome(
@@ -239,6 +242,9 @@ def _plausible(end: End) -> np.ndarray:
 def _message(end: End, names: list[str], plausible: bool, cause: str = "") -> str:
     """The problem of a search, and remedies."""
     code, good = int(end.code), int(end.code) in GOOD
+    if code == HIDDEN:
+        moved = dict.fromkeys(name for name, far in zip(names, end.far, strict=True) if far)
+        cause = f"the next step still moves {', '.join(moved)}"
     parts = [] if good else [f"{REASONS[code]}: {f'{cause}; ' if cause else ''}{_TRY[code]}"]
     if good and not plausible:
         parts.append(

@@ -15,7 +15,7 @@ from lieint_jax._checks import dtype_of
 from lieint_jax.types import StepInfo
 from lieint_jax.types.shapes import PyTree
 
-RUNNING, FLAT, STILL, SETTLED, TARGET, STUCK, NOWHERE, BEYOND = range(8)
+RUNNING, FLAT, STILL, SETTLED, TARGET, STUCK, NOWHERE, BEYOND, HIDDEN = range(9)
 REASONS = (
     "the iterations were used up",
     "the gradient vanished",
@@ -25,6 +25,7 @@ REASONS = (
     "no step led further down, though the gradient has not vanished",
     "the first guess failed",
     "the sum of squares at the first guess leaves the range of floating-point numbers",
+    "a parameter is far from its optimum, which the rounding errors of the loss hide",
 )
 GOOD = (FLAT, STILL, SETTLED, TARGET)
 SHORTENINGS = 40  # the most in a row before a search gives up

@@ -83,8 +83,8 @@ def tumbling_state(
     Args:
         moments: principal moments about the body axes x, y, z, in ascending order, (3,). Only ratios count.
         precession: P_φ, that of the long axis x about the angular momentum.
-        rotation: P_ψ, that of the angular momentum in the body. There is no state of a mode, and the result is wrong,
-            unless it has this ratio of periods.
+        rotation: P_ψ, that of the angular momentum in the body. Where the mode has no motion with this ratio of
+            periods, the state is NaN.
         pole: the direction of the angular momentum, a unit vector in space, (3,).
         long_axis: the mode: whether the angular momentum circles the axis of least or of greatest moment.
         phi: the angle in radians about the angular momentum from the direction `toward` to the long axis.

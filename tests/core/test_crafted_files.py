@@ -1,14 +1,13 @@
 """Files of results that are damaged or crafted: every command that reads them answers with one line and exit code 2."""
 
-import functools
 import io
-import itertools
 import json
 import os
 import resource
 import shutil
+import stat
 import struct
-import tempfile
+import warnings
 import zipfile
 from pathlib import Path
 
@@ -16,64 +15,33 @@ import jax
 import numpy as np
 import pytest
 from internals import write_root
-from scenario_files import book
 
 import lieint_jax as li
-from lieint_jax.app import scenarios
-from lieint_jax.app.command import cli
-from lieint_jax.runs import store
+from lieint_jax.command import cli
 
 BODY = li.systems.rigid_body([1.0, 2.0, 3.0])
 _MEMORY = 300e6  # bytes, the most that all the cases of a test may add: one that is believed asks for more
 
 
-@functools.cache
-def arrays():
-    """The arrays of an archive of two bodies with eleven entries."""
-    with tempfile.TemporaryDirectory() as folder:
-        file = Path(folder, "book.toml")
-        file.write_text(book(members="members = 2", steps="steps = 1600", save_every="save_every = 160"))
-        scenario = scenarios.load(str(file))
-        run = li.run(*scenario.build(), **scenario.clock(), save_every=scenario.save_every)
-        described = {"scenario": scenario.model_dump(), "lieint_jax": "0.5", "jax": "0.12"}
-        store.write_trajectory(Path(folder, "run.npz"), run.trajectory, described)
-        with np.load(Path(folder, "run.npz")) as found:
-            return dict(found)
+def files_of(folder):
+    """The bytes of the ordinary files in a folder, by name."""
+    found = sorted(file for file in folder.rglob("*") if file.is_file())
+    return {file.relative_to(folder).as_posix(): file.read_bytes() for file in found}
 
 
-def packed(changed=(), method=zipfile.ZIP_STORED, name="{}.npy"):
-    """The bytes of an archive of a valid run with other arrays, bytes in place of arrays, or None for none."""
+def packed(files, method=zipfile.ZIP_STORED, name="{}", change=lambda infos: None):
+    """The bytes of a zip file of `files`; `change` alters what its directory says of them."""
     stream = io.BytesIO()
-    with zipfile.ZipFile(stream, "w", method) as archive:
-        for key, x in (arrays() | dict(changed)).items():
-            if isinstance(x, np.ndarray):
-                x, array = io.BytesIO(), x
-                np.lib.format.write_array(x, array)
-                x = x.getvalue()
-            if x is not None:
-                archive.writestr(name.format(key), x)
+    with zipfile.ZipFile(stream, "w", method) as archive, warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # of names that occur twice
+        for key, data in files.items() if isinstance(files, dict) else files:
+            archive.writestr(name.format(key), data)
+        change({info.filename: info for info in archive.filelist})
     return stream.getvalue()
 
 
-def header(text, data=b"", version=(1, 0)):
-    """An .npy with this header."""
-    size = struct.pack("<H" if version[0] == 1 else "<I", len(text))
-    return b"\x93NUMPY" + bytes(version) + size + text.encode() + data
-
-
-def of_shape(shape, kind="<f8"):
-    return header(f"{{'descr': {kind!r}, 'fortran_order': False, 'shape': {shape}}}", bytes(64))
-
-
-def described(**changes):
-    """The metadata of the run with these changes to the keys of its scenario."""
-    found = json.loads(str(arrays()["metadata"]))
-    found["scenario"] |= changes
-    return {"metadata": np.array(json.dumps(found))}
-
-
 def patched(raw, offset, value):
-    """`raw` with two bytes at an offset behind the mark of every header of an array, local and central."""
+    """`raw` with two bytes at an offset behind the mark of every header of a file, local and central."""
     found = bytearray(raw)
     for mark, shift in ((b"PK\x03\x04", 0), (b"PK\x01\x02", 2)):
         at = found.find(mark)
@@ -83,69 +51,59 @@ def patched(raw, offset, value):
     return bytes(found)
 
 
-def archives():
-    """The bytes of crafted archives, by what is wrong with them."""
-    good, x = packed(), arrays()
-    yield from ((f"cut at {k}/8", good[: len(good) * k // 8]) for k in range(8))
-    yield from ((f"without {name}", packed({name: None})) for name in x)
-    for name, kind in itertools.product(("t", "q", "p", "residual"), ("c16", ">f8", "f2", "i8", "U4", "S3", "M8[s]")):
-        yield f"{name} as {kind}", packed({name: x[name].astype(np.int64 if kind[0] == "M" else kind).astype(kind)})
-    yield "converged as f8", packed({"converged": x["converged"].astype(float)})
-    yield "Python objects", packed({"p": None}) and packed({"p": of_shape((1,), "|O")})
-    yield "records", packed({"t": np.zeros(11, [("a", float)])})
-    for name in ("t", "q", "p", "residual", "converged"):
-        yield f"{name} too short", packed({name: x[name][:3]})
-        yield f"{name} has one axis more", packed({name: x[name][:, None]})
-        yield f"{name} is a number", packed({name: np.asarray(x[name].reshape(-1)[0])})
-        yield f"{name} is empty", packed({name: x[name][:0]})
-    yield "q of five components", packed({"q": np.ones((11, 2, 5))})
-    yield "p of two components", packed({"p": np.ones((11, 2, 2))})
-    yield "q off the group", packed({"q": 3 * x["q"]})
-    yield "t is not finite", packed({"t": np.where(x["t"] > 1, np.nan, x["t"])})
-    yield "t goes back", packed({"t": x["t"] * (-1) ** np.arange(11)})
-    yield "three members of two", packed({"p": np.ones((11, 3, 3))})
-    yield "a time for each of three members", packed({"state.t": np.zeros((11, 3))})
-    yield "work of another shape", packed({"work": np.zeros(11)})
-    for shape in ("(10**12, 2, 4)", "(1000000000000, 2, 4)", "(-1, 2, 4)", "('a',)", "3.5", "(True,)", "(11, 2, 99)"):
-        yield f"header of shape {shape}", packed({"q": of_shape(shape)})
-    yield "header is no table", packed({"q": header("[]")})
-    yield "header is no Python", packed({"q": header("}{")})
-    yield "header of nested brackets", packed({"q": header("(" * 9000)})
-    yield "long header", packed({"q": header(" " * 60000)})
-    yield "longer header than the file", packed({"q": header("", version=(2, 0))[:-4] + b"\xff\xff\xff\x7f"})
-    yield "header of version 9", packed({"q": header("{}", version=(9, 9))})
-    yield "no header", packed({"q": b"q"})
-    tables = ['{"scenario": 3}', '{"scenario": []}', '{"lieint_jax": 3}']
-    for text in ("", "{", "[]", "3", "null", '"text"', *tables, "\\"):
-        yield f"metadata {text!r}", packed({"metadata": np.array(text)})
-    yield "nested metadata", packed({"metadata": np.array("[" * 100_000)})
-    yield "deeply nested metadata", packed({"metadata": np.array('{"scenario": ' + "[" * 500 + "]" * 500 + "}")})
-    yield "metadata of numbers", packed({"metadata": np.zeros(3)})
-    yield "huge metadata", packed({"metadata": header("{'descr': '<U999999999', 'fortran_order': False, 'shape': ()}")})
-    for key, value in (("members", 3), ("members", "2"), ("steps", 10**12), ("steps", True), ("save_every", 0)):
-        yield f"{key} = {value!r}", packed(described(**{key: value}))
-    yield "save_at is no list", packed(described(save_at=7))
-    for name in ("../{}.npy", "/{}.npy", "a/{}.npy", "{}", "..\\{}.npy"):
-        yield f"names {name}", packed(name=name)
-    yield "encrypted", patched(good, 6, 1)
-    yield from ((f"compressed by method {k}", patched(good, 8, k)) for k in (1, 9, 12, 14, 93, 99))
-    yield "a bomb", packed({"q": bytes(2**25)}, zipfile.ZIP_DEFLATED)
-    yield "a bomb with a header", packed({"q": of_shape("(2097152, 2, 1)")[:-64] + bytes(2**25)}, zipfile.ZIP_DEFLATED)
-    yield "damaged inside", good[:700] + bytes(32) + good[732:]
-    yield "empty archive", b"PK\x05\x06" + bytes(18)
+def altered(name, **values):
+    """A change of what the directory of a zip file says of one of its files."""
+
+    def change(infos):
+        for key, value in values.items():
+            setattr(infos[name], key, value)
+
+    return change
+
+
+def zips(good):
+    """The bytes of crafted zip files, by what is wrong with them."""
+    files = files_of(good)
+    raw, chunk = packed(files), "q/c/0/0/0"
+    yield from ((f"cut at {k}/8", raw[: len(raw) * k // 8]) for k in range(8))
+    for name in files:
+        yield f"without {name}", packed({key: data for key, data in files.items() if key != name})
+        yield f"{name} is empty", packed(files | {name: b""})
+        yield f"{name} is damaged", raw.replace(files[name], bytes(len(files[name])))
+    for name in ("../{}", "/{}", "a/{}", "..\\{}", "./{}", "{}/", "{}/..", "a//{}", "C:/{}", "{}\x1b", ".{}"):
+        yield f"names {name!r}", packed(files, name=name)
+    for text in ("../x", "/etc/x", "q/../../x", "q\\x", "q//x"):
+        yield f"also a file {text!r}", packed(files | {text: b"x"})
+    yield "folders of their own", packed(files | {"q/": b""})
+    yield "a name twice", packed([*files.items(), (chunk, files[chunk])])
+    for kind in (stat.S_IFLNK, stat.S_IFCHR, stat.S_IFBLK, stat.S_IFIFO, stat.S_IFSOCK, stat.S_IFDIR):
+        yield f"a file of the kind {kind:o}", packed(files, change=altered(chunk, external_attr=(kind | 0o777) << 16))
+    yield "encrypted", patched(raw, 6, 1)
+    yield from ((f"said to be compressed by method {k}", patched(raw, 8, k)) for k in (1, 8, 9, 12, 14, 93, 99))
+    yield "compressed", packed(files, zipfile.ZIP_DEFLATED)
+    yield "a bomb", packed(files | {chunk: bytes(2**25)}, zipfile.ZIP_DEFLATED)
+    for size in (2**40, 2**31, len(raw) + 1, len(files[chunk]) + 1, 0):
+        yield f"a size of {size}", packed(files, change=altered(chunk, file_size=size, compress_size=size))
+    yield "two sizes", packed(files, change=altered(chunk, file_size=len(files[chunk]) + 8))
+    yield "files that overlap", packed(files, change=altered(chunk, header_offset=0))
+    for offset in (len(raw), 2**40):
+        yield f"a place at {offset}", packed(files, change=altered(chunk, header_offset=offset))
+    yield "a wrong checksum", packed(files, change=altered(chunk, CRC=7))
+    yield "a description of 10⁵ brackets", packed(files | {"q/zarr.json": b"[" * 100_000})
+    yield "a root of 10⁵ brackets", packed(files | {"zarr.json": b"[" * 100_000})
+    yield "arrays of NumPy", packed({"q.npy": b"\x93NUMPY"})
+    yield "empty zip file", b"PK\x05\x06" + bytes(18)
+    yield "a directory at 2⁶³", b"PK\x05\x06" + bytes(8) + b"\xff" * 8 + bytes(2)
+    yield "no bytes", b""
     yield "text", b"no archive"
     yield "a picture", b"\x89PNG\r\n\x1a\n" + bytes(100)
-    yield "a study without a name", packed({"metadata": np.array('{"tree": {}}')})
-    names = {"study": "gyro", "quick": True, "lieint_jax": "9", "jax": "9"}
-    for tree in (3, {"type": "os:system", "fields": {}}, {"array": "nothing"}, {"tuple": 3}, {}, {"dict": [[[], 1]]}):
-        yield f"tree {tree}", packed({"metadata": np.array(json.dumps(names | {"study": "gyro", "tree": tree}))})
 
 
-def one_line(capsys, *arguments):
+def one_line(capsys, *arguments, what=""):
     """Assert that a command ends with exit code 2 and one line on stderr; the line."""
-    assert cli.main([str(x) for x in arguments]) == 2, arguments
+    assert cli.main([str(x) for x in arguments]) == 2, (arguments, what)
     error = capsys.readouterr().err
-    assert error.startswith("lieint: "), arguments
+    assert error.startswith("lieint: "), (arguments, what)
     assert error.count("\n") == 1, error
     return error
 
@@ -162,26 +120,6 @@ def bounded():
     assert grown(before) < _MEMORY
 
 
-def test_the_unaltered_run_is_read(tmp_path):
-    for method in (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED):  # np.savez and np.savez_compressed
-        (tmp_path / "run.npz").write_bytes(packed(method=method))
-        assert store.load_results(tmp_path / "run.npz")[0].state.q.shape == (11, 2, 4)
-
-
-@pytest.mark.long
-@pytest.mark.usefixtures("bounded")
-def test_altered_archives_are_refused_with_a_sentence(tmp_path, capsys):
-    cases = list(archives())
-    assert len(cases) > 100
-    path = tmp_path / "run.npz"
-    for k, (what, raw) in enumerate(cases):
-        path.write_bytes(raw)
-        study = what.startswith("tree")
-        for command in ("plot",) if study else ("info", "plot", "animate") if k % 8 == 0 else ("info",):
-            one_line(capsys, command, path)
-    assert os.listdir(tmp_path) == ["run.npz"]
-
-
 @pytest.fixture(scope="module")
 def good(tmp_path_factory):
     """A complete store of two bodies."""
@@ -193,6 +131,41 @@ def good(tmp_path_factory):
 def run_into(path, **options):
     states = jax.jit(jax.vmap(lambda w: BODY.state(angular_velocity=w)))(np.array([[0.2, 0.0, 1.0], [0.3, -0.5, 0.8]]))
     li.run(li.schemes.so3_midpoint(BODY), states, 0.05, 4, save_every=2, store=path, progress=False, **options)
+
+
+@pytest.mark.usefixtures("bounded")
+def test_altered_zip_files_are_refused_with_a_sentence(good, tmp_path, capsys):
+    cases = list(zips(good))
+    assert len(cases) > 100
+    path = tmp_path / "run.zip"
+    for k, (what, raw) in enumerate(cases):
+        path.write_bytes(raw)
+        with pytest.raises((ValueError, OSError), match=r"run\.zip") as refused:
+            li.open(path)
+        assert "\n" not in str(refused.value), what
+        if k % 20 == 0:
+            one_line(capsys, "info", path, what=what)
+    assert os.listdir(tmp_path) == ["run.zip"]
+
+
+@pytest.mark.long
+@pytest.mark.usefixtures("bounded")
+def test_a_zip_file_with_any_one_byte_altered_is_refused_or_the_same_run(good, tmp_path):
+    raw, path, rng, refused = packed(files_of(good)), tmp_path / "run.zip", np.random.default_rng(5), 0
+    path.write_bytes(raw)
+    expected = li.open(path).load()
+    for _ in range(300):
+        altered = bytearray(raw)
+        altered[int(rng.integers(len(raw)))] ^= 1 << int(rng.integers(8))
+        path.write_bytes(altered)
+        try:
+            found = li.open(path).load()
+        except (ValueError, OSError):
+            refused += 1
+        else:  # a date, or a mode
+            for x, y in zip(jax.tree.leaves(found), jax.tree.leaves(expected), strict=True):
+                np.testing.assert_array_equal(x, y)
+    assert refused > 200
 
 
 def rooted(change):
@@ -305,9 +278,15 @@ def test_altered_stores_are_refused_with_a_sentence(part, good, tmp_path, capsys
         shutil.copytree(good, path)
         change(path)
         for command in ("info", "plot", "animate") if k % 8 == 0 else ("info",):
-            one_line(capsys, command, path)
+            one_line(capsys, command, path, what=what)
         with pytest.raises((ValueError, OSError)):
             li.open(path)
+        if k % 8 == 2:
+            (tmp_path / "run.zip").write_bytes(packed(files_of(path)))
+            for command in ("plot", "animate"):
+                one_line(capsys, command, tmp_path / "run.zip", what=what)
+            with pytest.raises((ValueError, OSError)):
+                li.open(tmp_path / "run.zip")
         if k % 8 == 1 and "system" not in what:  # which a run that resumes has of its own
             with pytest.raises((ValueError, OSError)):
                 run_into(path, resume=True)
@@ -316,16 +295,16 @@ def test_altered_stores_are_refused_with_a_sentence(part, good, tmp_path, capsys
 
 def places(tmp_path):
     """Paths of what is no file of results, by what they are."""
-    pipe, loop, link = (tmp_path / f"{name}.npz" for name in ("pipe", "loop", "link"))
+    pipe, loop, link = (tmp_path / f"{name}.zip" for name in ("pipe", "loop", "link"))
     os.mkfifo(pipe)
     loop.symlink_to(loop)
     link.symlink_to("nowhere")
-    (tmp_path / "folder.npz").mkdir()
+    (tmp_path / "folder.zip").mkdir()
     (tmp_path / "file.zarr").write_text("")
     (tmp_path / "empty.zarr").mkdir()
-    yield from (pipe, loop, link, "/dev/zero", "/dev/null", "/dev/stdin", tmp_path, "nowhere.npz", "nowhere.zarr", "")
-    yield from (tmp_path / name for name in ("folder.npz", "file.zarr", "empty.zarr"))
-    yield from ("a" * 5000, "a" * 5000 + ".npz", "a" * 5000 + ".zarr", "null\0.npz", "null\0.zarr", "two\nlines.npz")
+    yield from (pipe, loop, link, "/dev/zero", "/dev/null", "/dev/stdin", tmp_path, "nowhere.zip", "nowhere.zarr", "")
+    yield from (tmp_path / name for name in ("folder.zip", "file.zarr", "empty.zarr"))
+    yield from ("a" * 5000, "a" * 5000 + ".zip", "a" * 5000 + ".zarr", "null\0.zip", "null\0.zarr", "two\nlines.zip")
 
 
 def test_files_without_results_are_refused_with_a_sentence(tmp_path, monkeypatch, capsys):

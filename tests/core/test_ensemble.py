@@ -1,4 +1,4 @@
-"""Batches: the same numbers as one body at a time, a report that names member and step, files that are not lost."""
+"""Batches: the same numbers as one body at a time, a report that names member and step."""
 
 import jax
 import jax.numpy as jnp
@@ -8,8 +8,6 @@ from free_bodies import rows
 
 import lieint_jax as li
 from lieint_jax import State
-from lieint_jax.app.command import files
-from lieint_jax.runs import store as archives
 
 J123 = np.array([1.0, 2.0, 3.0])
 BODY = li.systems.rigid_body(J123)
@@ -101,22 +99,3 @@ def test_a_notebook_shows_a_bar_below_the_cell_of_a_run_that_takes_long():
     printed = ["".join(o.get("text", "") for o in cell.outputs) for cell in notebook.cells]
     assert printed[:2] == ["", ""]
     assert "body-steps/s, energy" in printed[2]
-
-
-def test_a_result_file_reads_back_and_is_not_overwritten(tmp_path):
-    run = li.run(STEP, states(3), 0.1, 20, save_every=10, progress=False).trajectory
-    path = files.check_writable(tmp_path / "run.npz")
-    archives.write_trajectory(path, run, {"seed": 4})
-    again, metadata = archives.load_results(path)
-    jax.tree.map(np.testing.assert_array_equal, again, run)
-    assert metadata == {"seed": 4}
-    before = path.read_bytes()
-    with pytest.raises(ValueError, match="exists and is not overwritten"):
-        files.check_writable(path)
-    with pytest.raises(FileExistsError):
-        archives.write_trajectory(path, run, {})
-    assert path.read_bytes() == before
-    with pytest.raises(ValueError, match=r"\.npz"):
-        files.check_writable(tmp_path / "run.txt")
-    with pytest.raises(ValueError, match="does not exist"):
-        files.check_writable(tmp_path / "no" / "run.npz")

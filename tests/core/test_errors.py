@@ -2,8 +2,8 @@
 
 import io
 import json
+import subprocess
 import sys
-import time
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -15,47 +15,19 @@ import pytest
 
 import lieint_jax as li
 from lieint_jax import _cache, _checks
-from lieint_jax.app import scenarios
-from lieint_jax.app.command import cli, files
-from lieint_jax.app.command import info as info_command
-from lieint_jax.app.command import run as run_command
-from lieint_jax.runs import processes
+from lieint_jax.command import cli
+from lieint_jax.examples import heavy_top
 from lieint_jax.runs import store as archives
 from lieint_jax.runs._job import devices as _devices
 from lieint_jax.runs.store import _identity
-from lieint_jax.types import State, StepInfo, Trajectory
+from lieint_jax.types import State, StepInfo
 
 ONE = np.array([1.0, 0.0, 0.0, 0.0])
 BODY = li.systems.RigidBody(jnp.array([1.0, 2.0, 3.0]))
 STATE = State(jnp.array(ONE), jnp.array([0.2, 0.4, 3.0]))
 
 
-def spread_of_toutatis(**keys):
-    return scenarios.load("toutatis", spread=keys)
-
-
 SENTENCES = [
-    (lambda: scenarios.parse({}, "mine.toml"), r"mine\.toml: system: key missing"),
-    (lambda: scenarios.parse({"system": "rigid_body"}, "a"), "a: title, dt, steps, inertia, state: keys missing$"),
-    (lambda: spread_of_toutatis(angular_velocity_degr=1.0), "spread.angular_velocity_degr: .*angular_velocity_deg"),
-    (
-        lambda: scenarios.load(
-            "toutatis", state=dict(quaternion=ONE.tolist(), euler_313_deg=[0.0] * 3, angular_velocity_rad=[0.0] * 3)
-        ),
-        "give the attitude by exactly one of quaternion and euler_313_deg",
-    ),
-    (
-        lambda: scenarios.load(
-            "toutatis",
-            state=dict(quaternion=ONE.tolist(), angular_velocity_deg=[0.0] * 3, angular_velocity_rad=[0.0] * 3),
-        ),
-        "give angular_velocity_rad or angular_velocity_deg, not both",
-    ),
-    (
-        lambda: spread_of_toutatis(angular_velocity_rad=0.1, angular_velocity_deg=1.0),
-        "give angular_velocity_rad or angular_velocity_deg, not both",
-    ),
-    (lambda: scenarios.load("toutatis", save_every=320), r"observation\.t = 23.* must be a multiple of dt·save_every"),
     (lambda: archives.load_store(Path("group.zarr")), "a Zarr group, but was not written by lieint"),
     (
         lambda: archives.load_store(Path("newer.zarr")),
@@ -67,8 +39,6 @@ SENTENCES = [
     ),
     (lambda: archives.load_store(Path("oldest.zarr")), "has format 1, that of an older lieint_jax"),
     (lambda: archives.load_store(Path("damaged.zarr")), "is damaged: its checksum is wrong"),
-    (lambda: info_command.plot(Path("bare.npz")), "holds neither a scenario nor the parameters of its system"),
-    (lambda: info_command.plot(Path("start.npz")), "holds the initial states only"),
 ]
 
 
@@ -79,17 +49,13 @@ def unusable(tmp_path, monkeypatch):
     attributes = {
         "group": {},
         "newer": {"progress": 1, "format": 99},
-        "older": {"progress": 1, "format": 5},
+        "older": {"progress": 1, "format": 6},
         "oldest": {"progress": 1},
         "damaged": {"progress": 1, "format": 7, "checksum": "0"},
     }
     for name, found in attributes.items():
         Path(f"{name}.zarr").mkdir()
         Path(f"{name}.zarr/zarr.json").write_text(json.dumps({"attributes": found}), encoding="utf-8")
-    info = StepInfo(np.zeros((1, 1)), np.ones((1, 1), bool))
-    start = Trajectory(np.zeros(1), State(np.ones((1, 1, 4)), np.ones((1, 1, 3))), info)
-    archives.write_trajectory(Path("bare.npz"), jax.tree.map(lambda x: np.concatenate([x, x]), start), {})
-    archives.write_trajectory(Path("start.npz"), start, {"scenario": {}})
 
 
 @pytest.mark.slow
@@ -127,11 +93,6 @@ SIZES = [
         lambda: li.run(STEP, ONE_MEMBER, 0.1, 1e30, save_every=None),
         "num_steps must be an integer ≥ 0, got 1e",
     ),
-    (
-        lambda: run_command.run("toutatis", Path("x.npz"), 10**9),
-        "would hold 65.2 TB in memory: .*; give fewer members, a larg",
-    ),
-    (lambda: run_command.run("toutatis", Path("x.zarr"), 10**9), "would hold 65 GB in memory: .*; give fewer members$"),
 ]
 
 
@@ -191,15 +152,15 @@ def test_an_interrupted_run_in_memory_suggests_a_store(monkeypatch):
         li.run(li.schemes.so3_midpoint(BODY), states, 0.1, 6, progress=False, save_every=None)
 
 
-def test_the_command_line_ends_quietly(monkeypatch, capsys):
-    """Where its reader has gone, where it is interrupted, where a number is not positive, where it may not write."""
+def test_the_command_ends_quietly(monkeypatch, capsys):
+    """Where its reader has gone, and where it is interrupted."""
 
     def stopped_by(error):
-        def run(*_, **__):
+        def main():
             raise error
 
-        monkeypatch.setattr(run_command, "run", run)
-        return cli.main(["run", "toutatis"])
+        monkeypatch.setattr(heavy_top, "main", main)
+        return cli.main(["run", "heavy_top"])
 
     assert stopped_by(KeyboardInterrupt()) == 130
     assert stopped_by(KeyboardInterrupt("stopped after 3 of 9 steps")) == 130
@@ -207,15 +168,24 @@ def test_the_command_line_ends_quietly(monkeypatch, capsys):
     with monkeypatch.context() as patch:
         patch.setattr(sys, "stderr", io.StringIO())
         assert stopped_by(BrokenPipeError()) == 1
-    with pytest.raises(SystemExit):
-        cli.main(["run", "toutatis", "--devices", "0"])
-    assert "'0' is not a positive integer" in capsys.readouterr().err
-    monkeypatch.setattr(files.os, "access", lambda *_: False)
-    with pytest.raises(ValueError, match="cannot be written to; choose another --out"):
-        files.check_writable(Path("run.npz"))
-    for command in (["study", "gyro", "--quick"], ["figure", "1"]):
-        assert cli.main(command) == 2  # before anything is computed
-        assert "cannot be written to" in capsys.readouterr().err
+
+
+def test_a_script_whose_reader_has_gone_ends_quietly(fresh_folder):
+    Path("many.py").write_text("def main():\n    for k in range(10**6):\n        print(k)\n")
+    command = [sys.executable, "-m", "lieint_jax.command.cli", "run", "many.py"]
+    with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as process:
+        assert process.stdout.readline() == "0\n"
+        process.stdout.close()
+        assert process.stderr.read() == ""
+        assert process.wait(timeout=60) == 1
+
+
+def test_a_store_of_initial_states_is_not_drawn(tmp_path, lieint):
+    li.run(STEP, ONE_MEMBER, 0.1, 0, store="start.zarr", progress=False)
+    assert "start.zarr holds the initial states only: there is nothing to draw yet" in lieint.refuse(
+        "plot", "start.zarr"
+    )
+    assert [path.name for path in tmp_path.iterdir()] == ["start.zarr"]
 
 
 @pytest.mark.parametrize("encoding", ["ascii", "latin-1", "utf-8"])
@@ -223,7 +193,7 @@ def test_output_adapts_to_any_encoding(encoding, monkeypatch):
     """As of LC_ALL=C: letters that an encoding does not have are spelled."""
     written = io.BytesIO()
     monkeypatch.setattr(sys, "stdout", io.TextIOWrapper(written, encoding=encoding))
-    assert cli.main(["schema"]) == 0
+    assert cli.main(["--help"]) == 0
     print("κ ± 3° · π² − Ωₖ ≤ … 水", flush=True)
     [*_, last] = written.getvalue().decode(encoding).splitlines()
     spelled = {"ascii": "kappa +- 3deg * pi2 - Omegak <= ... ?", "latin-1": "kappa ± 3° · pi² - Omegak <= ... ?"}
@@ -232,11 +202,11 @@ def test_output_adapts_to_any_encoding(encoding, monkeypatch):
 
 def test_errors_of_the_system_are_one_short_line(monkeypatch, lieint):
     def failing(error):
-        def run(*_, **__):
+        def main():
             raise error
 
-        monkeypatch.setattr(run_command, "run", run)
-        [line] = lieint.refuse("run", "toutatis").splitlines()
+        monkeypatch.setattr(heavy_top, "main", main)
+        [line] = lieint.refuse("run", "heavy_top").splitlines()
         return line
 
     assert failing(OSError(36, "File name too long", "a" * 3000)) == f"lieint: {'a' * 100}…: File name too long"
@@ -246,21 +216,6 @@ def test_errors_of_the_system_are_one_short_line(monkeypatch, lieint):
     assert failing(jax.errors.JaxRuntimeError("RESOURCE_EXHAUSTED: out of memory")) == failing(MemoryError())
     with pytest.raises(jax.errors.JaxRuntimeError, match="INTERNAL"):
         failing(jax.errors.JaxRuntimeError("INTERNAL: a mistake"))
-
-
-def test_waiting_for_processes_prints_what_it_waits_for(monkeypatch, lieint):
-    """Processes that do not connect, as where a stranger has the coordinator's port: after some seconds."""
-    monkeypatch.setattr(cli, "_WAIT", 0.01)
-
-    def initialize(*_):
-        time.sleep(0.2)
-        raise ValueError("the processes did not meet")
-
-    monkeypatch.setattr(processes, "initialize", initialize)
-    options = ["--distributed", "--coordinator", "host:1234", "--processes", "3", "--process", "0"]
-    first, last = lieint.refuse("run", "toutatis", *options).splitlines()
-    assert first == "lieint: waiting for the processes of this run at host:1234, 3 in all, to connect …"
-    assert last == "lieint: the processes did not meet"
 
 
 def test_a_machine_without_a_description_of_its_processor_has_a_name(monkeypatch):

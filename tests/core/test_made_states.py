@@ -1,23 +1,15 @@
 """Initial states as a function of member numbers: a part makes only its own; and the memory of a run into a store."""
 
 import tracemalloc
-from pathlib import Path
 
 import internals
 import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-import scenario_files
-from scipy.special import erfinv
 from stores import assert_same
 
 import lieint_jax as li
-from lieint_jax._numerics import random_bits
-from lieint_jax.app import scenarios
-from lieint_jax.app.command import cli
-from lieint_jax.app.command import run as run_command
-from lieint_jax.app.scenarios import rigid_body
 
 BODY = li.systems.rigid_body([1.0, 2.0, 3.0])
 STEP = li.schemes.so3_midpoint(BODY)
@@ -169,79 +161,25 @@ def test_functions_that_return_no_states_of_these_members_are_refused():
             run(states, **options)
 
 
-def threefry(key, count):
-    """Threefry-2x32 of 20 rounds in Python's integers [Salmon et al. 2011]."""
-    keys = [*key, key[0] ^ key[1] ^ 0x1BD11BDA]
-    x, y = (count[0] + keys[0]) % 2**32, (count[1] + keys[1]) % 2**32
-    for group in range(5):
-        for bits in ((13, 15, 26, 6), (17, 29, 16, 24))[group % 2]:
-            x = (x + y) % 2**32
-            y = ((y << bits | y >> (32 - bits)) % 2**32) ^ x
-        x, y = (x + keys[(group + 1) % 3]) % 2**32, (y + keys[(group + 2) % 3] + group + 1) % 2**32
-    return x, y
-
-
-def test_draws_of_some_members_are_those_of_jax_for_all():
-    key, rows = jax.random.key(5), np.array([0, 3, 17, 99])
-    for shape, axis in (((100,), 0), ((2, 100, 3), 1), ((100, 3, 3), 0)):
-        whole = np.asarray(jax.random.normal(key, shape))
-        np.testing.assert_array_equal(random_bits.normal_rows(key, shape, rows, axis), whole.take(rows, axis))
-    keys = jax.random.key_data(jax.random.split(key, 100))
-    np.testing.assert_array_equal(jax.random.key_data(random_bits.split_rows(key, 100, rows)), keys[rows])
-    with jax.enable_x64(False):
-        whole = np.asarray(jax.random.normal(key, (100, 3)))
-        np.testing.assert_array_equal(random_bits.normal_rows(key, (100, 3), rows), whole[rows])
-    other = jax.random.key(5, impl="rbg")  # a generator that does not count
-    np.testing.assert_array_equal(
-        random_bits.normal_rows(other, (100, 3), rows), jax.random.normal(other, (100, 3))[rows]
-    )
-    place = 3 * 2**32 + 12_345  # its high word is not 0
-    high, low = threefry(tuple(map(int, jax.random.key_data(key))), divmod(place, 2**32))
-    uniform = ((high << 32 | low) >> 12) * 2.0**-51 - 1.0
-    found = random_bits.normal_rows(key, (2**35,), np.array([place]))
-    np.testing.assert_allclose(found, np.sqrt(2) * erfinv(uniform), rtol=1e-14)  # floor 3e-15
-
-
-@pytest.mark.long
-def test_scenarios_make_the_states_of_the_members_they_are_asked_for():
-    for name in ("toutatis", "hyperion", "pendulum"):
-        scenario = scenarios.load(name)
-        whole, some = scenario.build()[1], np.array([0, 5, 8])
-        for x, y in zip(jax.tree.leaves(whole), jax.tree.leaves(scenarios.states_of(scenario, some)), strict=True):
-            np.testing.assert_allclose(y, x[some] if np.ndim(x) else x, rtol=1e-14, atol=1e-14)  # floor 0
-        shapes = scenarios.shapes_of_states(scenario)
-        assert jax.tree.map(lambda x: (x.shape, x.dtype), shapes) == jax.tree.map(lambda x: (x.shape, x.dtype), whole)
-
-
-@pytest.mark.long
-def test_the_command_line_makes_the_states_of_a_part_only(tmp_path, monkeypatch, capsys):
-    monkeypatch.chdir(tmp_path)
-    Path("book.toml").write_text(scenario_files.book(members="members = 40"))
-    assert cli.main(["run", "book.toml", "--out", "whole.zarr"]) == 0
-    kind, asked = rigid_body.FreeBody, []
-    build = kind.build
-
-    def noted(scenario, numbers=None):
-        if isinstance(numbers, np.ndarray):  # and no tracer of the function's equations
-            asked.append(numbers)
-        return build(scenario, numbers)
-
-    monkeypatch.setattr(kind, "build", noted)
-    for k in range(2):
-        del asked[:]
-        assert cli.main(["run", "book.toml", "--out", "parts.zarr", "--part", f"{k}/2"]) == 0, capsys.readouterr().err
-        made = {int(numbers[0]) for numbers in asked}  # the first block, the part's own
-        assert made == ({0, 8, 16} if k == 0 else {0, 16, 24, 32})
-    assert_same(li.open("parts.zarr"), li.open("whole.zarr"))
-
-
-@pytest.mark.long
-def test_a_part_is_refused_if_its_own_members_do_not_fit_the_memory(monkeypatch):
+def test_a_part_is_refused_before_it_makes_members_that_do_not_fit_the_memory(tmp_path, monkeypatch):
     internals.memory_of(monkeypatch, 1e9)
-    scenario = scenarios.load("toutatis", members=10**9)
-    run_command._check_size(scenario, Path("x.zarr"), 1000)
-    with pytest.raises(ValueError, match=r"would hold 6.5 GB in memory: .*; give fewer members$"):
-        run_command._check_size(scenario, Path("x.zarr"), 10)
+    asked = []
+
+    def repeated(numbers):
+        asked.append(numbers)
+        return states_of(numbers % MEMBERS)
+
+    options = dict(store=tmp_path / "run.zarr", members=10**9, num_steps=0, save_every=None)
+    with pytest.raises(
+        ValueError, match=r"states of 1\d* members would hold 56\.?\d* GB .* has 1 GB; .* more parts: part"
+    ):
+        run(repeated, **options)
+    with pytest.raises(
+        ValueError, match=r"states of \d{8,9} members would hold 5\.6 GB in memory, .* has 1 GB; use fewer"
+    ):
+        run(repeated, part=(3, 10), **options)
+    assert len(asked) <= 4  # one block describes the run
+    assert not list(tmp_path.iterdir())
 
 
 @pytest.mark.long

@@ -25,11 +25,11 @@ import jax.numpy as jnp
 import killed
 import numpy as np
 import pytest
-import scenario_files
+import scripts
 from stores import Crash, assert_same
 
 import lieint_jax as li
-from lieint_jax.app.command import cli, info
+from lieint_jax.command import cli
 from lieint_jax.runs import store as archives
 from lieint_jax.runs._job import dyadic_sum as _dyadic_sum
 from lieint_jax.runs._storage import bucket as _bucket
@@ -398,7 +398,7 @@ DAMAGE = {  # what is done to part 1 of 3 in the store, with another run's; what
 
 @pytest.mark.long
 @pytest.mark.parametrize("damage", DAMAGE)
-def test_a_damaged_part_is_named_and_refused_and_the_others_are_read(place, damage, no_loop_after):
+def test_a_damaged_part_is_named_and_refused_and_the_others_are_read(place, damage, no_loop_after, lieint):
     change, sentence = DAMAGE[damage]
     elsewhere = Path(f"{place}-2.zarr") if isinstance(place, Path) else f"{place}-2.zarr"
     for store, dt in ((place, 0.1), (elsewhere, 0.2)):
@@ -406,7 +406,7 @@ def test_a_damaged_part_is_named_and_refused_and_the_others_are_read(place, dama
             no_loop_after(store, (k, 3), dt)
     storage = archives.open_storage(place)
     change(storage, archives.open_storage(elsewhere))
-    described = info.contents(storage.address)
+    described = lieint("info", str(place))
     assert "2 of 3 part(s) complete" in described
     with pytest.raises(AssertionError, match=rf"(?s)part 1 \(members 14 … 27\) is damaged: .*{sentence}"):
         raise AssertionError(described)
@@ -508,23 +508,30 @@ def test_the_part_of_a_task_follows_the_variables_of_its_scheduler():
 
 
 @pytest.mark.long
-def test_the_command_line_runs_parts(monkeypatch, capsys, lieint):
-    Path("book.toml").write_text(scenario_files.book(members="members = 10"))
-    command = ["run", "book.toml", "--out", "run.zarr", "--part"]
-    assert "part 1 of 2 is complete in run.zarr" in lieint(*command, "1/2")
-    for name, value in (("ID", "3"), ("MIN", "3"), ("COUNT", "2")):
+def test_tasks_of_an_array_are_one_run(tmp_path, monkeypatch, lieint):
+    """The second is started twice, as one that its scheduler has put back into the queue."""
+    for name, value in (("MIN", "3"), ("COUNT", "2")):
         monkeypatch.setenv(f"SLURM_ARRAY_TASK_{name}", value)
-    assert cli.main([*command, "auto"]) == 0
-    out = lieint("info", "run.zarr")
-    assert "2 of 2 part(s) complete" in out
-    assert "10 of 10 members converged at every step" in out
-    for part, message in (("2/2", "part must be (k, n)"), ("x/2", "a part is K/N"), ("0/3", "is written in 2 part(s)")):
-        assert message in lieint.refuse(*command, part)
-    with pytest.raises(SystemExit):
-        cli.main(["run", "book.toml", "--out", f"s3://{KEY}:{SECRET}@bucket/run.zarr"])
-    error = capsys.readouterr().err
+    for task, complete in (("4", 1), ("4", 1), ("3", 2)):
+        monkeypatch.setenv("SLURM_ARRAY_TASK_ID", task)
+        run(tmp_path / "run.zarr", "auto")
+        assert f"{complete} of 2 part(s) complete" in lieint("info", "run.zarr")
+    assert_same(li.open(tmp_path / "run.zarr"), run())
+    assert "41 of 41 members converged at every step" in lieint("info", "run.zarr")
+
+
+@needs_obstore
+def test_a_script_writes_to_a_url(tmp_path, lieint):
+    """Its option is a path, in which pathlib has made one slash of two."""
+    url = f"memory://tests{tmp_path}/run.zarr"
+    lieint("run", scripts.written("to_url.py"), "--members", "3", "--steps", "200", "--out", url)
+    assert li.open(url).state.q.shape == (3, 3, 4)
+    assert_same(li.open(Path(url)), li.open(url))
+    assert run(Path(f"memory://tests{tmp_path}/other.zarr")).facts.source == f"memory://tests{tmp_path}/other.zarr"
+    error = lieint.refuse("run", "to_url.py", "--out", f"s3://{KEY}:{SECRET}@bucket/run.zarr")
     assert "may not contain credentials" in error
     assert SECRET not in error
+    assert [x.name for x in tmp_path.iterdir() if x.suffix != ".py" and x.name != "__pycache__"] == []
 
 
 def part_process(case, place, k, count, environment=None):

@@ -11,7 +11,7 @@ import pytest
 import xarray
 
 import lieint_jax as li
-from lieint_jax.app.command import cli
+from lieint_jax.command import cli
 from lieint_jax.runs.store._description import describe, make
 from lieint_jax.systems._pseudo_rigid_body import examples as pseudo_rigid_bodies
 
@@ -104,7 +104,7 @@ def test_a_custom_function_is_requested_by_its_name():
 
 @pytest.mark.parametrize(
     "name",
-    ["os.system", "lieint_jax.nothing", "lieint_jax.app.command.cli.os.system", "lieint_jax.runs._storage.disk.shutil"],
+    ["os.system", "lieint_jax.nothing", "lieint_jax.command.cli.os.system", "lieint_jax.runs._storage.disk.shutil"],
 )
 def test_a_description_cannot_name_code_outside_the_package(name):
     with pytest.raises(ValueError, match="does not belong to this package"):

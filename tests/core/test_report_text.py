@@ -133,3 +133,20 @@ def test_the_error_of_an_energy_that_is_zero_is_relative_to_the_kinetic_energy()
     run = li.run(li.schemes.top_energy_momentum(top), fallen, 0.05, 40, progress=False)
     energy, _ = li.report.changes(run)
     assert energy.largest() < 3e-15  # observed: 4e-16
+
+
+def test_changes_of_members_are_measured_in_the_system_of_each():
+    """Of heavy tops of their own weight, by a scheme with an error that is far above round-off."""
+
+    def member(weight):
+        top = li.systems.heavy_top((2.0, 2.0, 1.0), weight * np.array([0.0, 0.0, 1.0]))
+        return li.schemes.splitting(top), top.state(angular_velocity=np.array([0.3, 0.2, 2.0]))
+
+    run = li.run(*jax.vmap(member)(np.array([1.0, 4.0])), 0.1, 10, own_step=True, progress=False)
+    energy, momentum = li.report.changes(run)
+    alone = [li.report.changes(run.member(k))[0] for k in range(2)]
+    for k in range(2):
+        np.testing.assert_allclose(energy.values[:, k], alone[k].values, rtol=1e-14)
+        assert alone[k].largest() > 1e-5
+    assert energy.largest() == pytest.approx(max(x.largest() for x in alone), rel=1e-9)
+    assert momentum.largest() < 1e-14

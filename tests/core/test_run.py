@@ -194,8 +194,12 @@ def test_runs_of_one_body_and_of_many_are_extended_saved_and_opened(options, tmp
             assert run.members == whole.members
             assert run.engine == whole.engine
         assert jax.tree.structure(again.step) == jax.tree.structure(whole.step)
-        with pytest.raises(ValueError, match="exists and is not overwritten"):
-            whole.save(path)
+        file = whole.save(tmp_path / f"{name}.zip")
+        for run in (file, li.open(tmp_path / f"{name}.zip")):
+            same((run.trajectory, run.summary, run.failed), (whole.trajectory, whole.summary, whole.failed))
+        for taken in (path, tmp_path / f"{name}.zip"):
+            with pytest.raises(ValueError, match="exists and is not overwritten"):
+                whole.save(taken)
         assert [x.name for x in tmp_path.iterdir() if x.name.startswith(".")] == []
 
 

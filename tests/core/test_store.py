@@ -14,6 +14,7 @@ import sys
 import threading
 import time
 import warnings
+import zipfile
 from pathlib import Path
 
 import internals
@@ -22,15 +23,13 @@ import jax.numpy as jnp
 import killed
 import numpy as np
 import pytest
-import scenario_files
+import scripts
 import zarr
 from free_bodies import rows
 from grid import steps
-from ports import free_port
 from stores import Crash, assert_same, disk_for
 
 import lieint_jax as li
-from lieint_jax.app.command import cli, info
 from lieint_jax.runs import store as archives
 from lieint_jax.runs._job import devices as _devices
 from lieint_jax.runs.store import _identity
@@ -72,7 +71,7 @@ def test_a_store_holds_what_memory_would(tmp_path, small_chunks):
 
 
 @pytest.mark.quick
-def test_reductions_are_those_of_the_trajectory(tmp_path, small_chunks):
+def test_reductions_are_those_of_the_trajectory(tmp_path, small_chunks, lieint):
     every = li.run(STEP, STATES, 0.1, 60, save_every=1, progress=False)
     change = (every.state.q[1:, :, 0] - every.state.q[0, :, 0]).reshape(12, 5 * 40)
     found = run(reduce=lambda step, z: z.q[0]).summary
@@ -85,7 +84,7 @@ def test_reductions_are_those_of_the_trajectory(tmp_path, small_chunks):
     assert max(np.abs(x).max() for x in energy[1:4]) < 2e-14  # floor 3e-15
     assert energy.least[1:].max() < 0 < energy.greatest[1:].min()
     assert_same(run(tmp_path / "a.zarr", reduce="energy").summary, energy)
-    described = info.contents(tmp_path / "a.zarr")
+    described = lieint("info", "a.zarr")
     for name, value in (("least", energy.least.min()), ("greatest", energy.greatest.max())):
         assert f"{name} {value:.3g}" in described
     assert "unconverged members 0" in described
@@ -103,6 +102,46 @@ def test_xarray_reads_a_store(tmp_path, small_chunks):
         np.testing.assert_array_equal(data.time, memory.t)
         assert (data.attrs["dt"], data.attrs["seed"], data.time.attrs["units"]) == (0.1, 3, "d")
         assert data.p.attrs["units"] == "unit of inertia / d"
+
+
+def test_a_run_is_saved_to_one_file_as_zarr_reads_it(tmp_path):
+    xarray = pytest.importorskip("xarray")
+    memory, folder, path = run(), tmp_path / "run.zarr", tmp_path / "run.zip"
+    saved = memory.save(li.StoreOptions(path, {"seed": 3}, "d"))
+    assert_same(saved, memory)
+    again = li.open(path)
+    assert_same(again, memory)
+    np.testing.assert_array_equal(again.energy_error(), memory.energy_error())
+    np.testing.assert_array_equal(again.state.q[3, 5], memory.state.q[3, 5])
+    assert_same(again.load().extend(10), run(num_steps=70))
+    with xarray.open_zarr(zarr.storage.ZipStore(path, mode="r")) as data:
+        np.testing.assert_array_equal(data.q, memory.state.q)
+        assert (data.attrs["seed"], data.time.attrs["units"]) == (3, "d")
+    with zipfile.ZipFile(path) as file:
+        assert {info.compress_type for info in file.infolist()} == {zipfile.ZIP_STORED}
+        assert file.testzip() is None
+    run(folder, reduce="energy")
+    if shutil.which("zip"):  # a folder packed by hand
+        subprocess.run(["zip", "-q0rD", "../hand.zip", "."], cwd=folder, check=True)
+        assert_same(li.open(tmp_path / "hand.zip").summary, li.open(folder).summary)
+    assert {x.name for x in tmp_path.iterdir()} <= {"run.zarr", "run.zip", "hand.zip"}
+
+
+def test_a_file_is_written_as_a_whole_and_by_save_only(tmp_path):
+    memory = run()
+    with pytest.raises(ValueError, match=r"to a folder NAME\.zarr, got .*run\.save\('run\.zip'\) writes one file"):
+        run(tmp_path / "run.zip")
+    whole = memory.save(tmp_path / "whole.zip")
+    with disk_for(1000) as waits:
+        memory.save(tmp_path / "counted.zip")
+    assert (tmp_path / "counted.zip").read_bytes() == (tmp_path / "whole.zip").read_bytes()
+    for last in (0, len(waits) // 2, len(waits) - 1):
+        with disk_for(last, OSError(28, "No space left on device")), pytest.raises(OSError, match="No space left"):
+            memory.save(tmp_path / "run.zip")
+    assert sorted(x.name for x in tmp_path.iterdir()) == ["counted.zip", "whole.zip"]
+    for use in (lambda: whole.save(tmp_path / "run.zip"), lambda: whole.extend(5)):
+        with pytest.raises(ValueError, match=r"whole\.zip"):
+            use()
 
 
 FAULTS = {
@@ -136,7 +175,7 @@ def test_a_damaged_file_of_any_kind_is_named_and_not_used(tmp_path, small_chunks
     for file in files:
         shutil.copytree(half, path)
         FAULTS[fault](path / file)
-        for use in (lambda: run(path, num_steps=120, resume=True), lambda: info.contents(path)):
+        for use in (lambda: run(path, num_steps=120, resume=True), lambda: li.open(path)):
             with pytest.raises(ValueError, match=rf"{re.escape(file.as_posix())} is|does not exist"):
                 use()
         shutil.rmtree(path)
@@ -327,7 +366,7 @@ def test_chunks_of_one_entry_are_committed_one_by_one(tmp_path, monkeypatch, opt
 
 
 @pytest.mark.quick
-def test_a_store_in_which_nothing_is_published_is_opened(tmp_path, no_loop):
+def test_a_store_in_which_nothing_is_published_is_opened(tmp_path, no_loop, lieint):
     for name, part in (("whole", None), ("parts", (0, 2))):
         path = tmp_path / f"{name}.zarr"
         with pytest.raises(Begun):
@@ -337,7 +376,7 @@ def test_a_store_in_which_nothing_is_published_is_opened(tmp_path, no_loop):
             found = li.open(path)
         assert found.state.q.shape == (0, 40, 4)
         np.testing.assert_array_equal(found.failed, np.full(40, -1))
-        assert re.search("0 of 13 entries|0 of 2 part", info.contents(path))
+        assert re.search("0 of 13 entries|0 of 2 part", lieint("info", path))
 
 
 def test_a_store_can_be_made_for_every_scheme_and_for_groups_with_empty_arrays(tmp_path, no_loop):
@@ -605,31 +644,32 @@ def test_an_interrupt_waits_for_the_chunk_and_says_how_to_go_on(tmp_path, monkey
 
 
 @pytest.fixture(scope="module")
-def book(tmp_path_factory):
-    """A scenario of some seconds, and the store of its uninterrupted run."""
-    folder = tmp_path_factory.mktemp("book")
-    (folder / "book.toml").write_text(scenario_files.book(steps="steps = 800_000", members="members = 100"))
+def bodies(tmp_path_factory):
+    """A script of some seconds, and the store of its uninterrupted run."""
+    folder = tmp_path_factory.mktemp("bodies")
+    scripts.written(folder / "bodies.py")
     assert command(folder, "--out", "whole.zarr").wait() == 0
     return folder
 
 
 def command(folder, *options, **popen):
-    arguments = [sys.executable, "-m", "lieint_jax.app.command.cli", "run", "book.toml", *options]
+    script = ["run", "bodies.py", "--members", "100", "--steps", "800000"]
+    arguments = [sys.executable, "-m", "lieint_jax.command.cli", *script, *options]
     return subprocess.Popen(arguments, cwd=folder, stdout=subprocess.DEVNULL, **popen)
 
 
-def test_a_run_killed_at_random_moments_resumes(book):
+def test_a_run_killed_at_random_moments_resumes(bodies):
     delays = np.random.default_rng(11).uniform(1.5, 5.0, 5)
     ended = 0
     for delay in delays:
-        process = command(book, "--out", "killed.zarr", "--resume", stderr=subprocess.DEVNULL)
+        process = command(bodies, "--out", "killed.zarr", "--resume", stderr=subprocess.DEVNULL)
         time.sleep(delay)
         ended += process.poll() is None
         process.kill()
         process.wait()
     assert ended >= 2
-    assert command(book, "--out", "killed.zarr", "--resume").wait() == 0
-    assert same_folders(book / "killed.zarr", book / "whole.zarr")
+    assert command(bodies, "--out", "killed.zarr", "--resume").wait() == 0
+    assert same_folders(bodies / "killed.zarr", bodies / "whole.zarr")
 
 
 def killable(case, path, pause):
@@ -665,18 +705,46 @@ def test_kills_at_random_moments_leave_the_same_bits(tmp_path, case):
 
 
 @pytest.mark.parametrize("signals", [[signal.SIGINT, signal.SIGINT], [signal.SIGTERM]], ids=["SIGINT twice", "SIGTERM"])
-def test_a_run_that_a_signal_ended_at_once_is_resumed(book, signals):
+def test_a_run_that_a_signal_ended_at_once_is_resumed(bodies, signals):
     """The second SIGINT does not wait for the chunk; SIGTERM is what a scheduler sends."""
-    path = book / f"{len(signals)}.zarr"
-    process = command(book, "--out", path.name, stderr=subprocess.DEVNULL)
+    path = bodies / f"{len(signals)}.zarr"
+    process = command(bodies, "--out", path.name, stderr=subprocess.DEVNULL)
     wait_for_a_commit(path)
     for number in signals:
         process.send_signal(number)
         time.sleep(0.1)
     assert process.wait(timeout=30) != 0
     assert not archives.load_store(path)[1]["progress"]["complete"]
-    assert command(book, "--out", path.name, "--resume").wait() == 0
-    assert same_folders(path, book / "whole.zarr")
+    assert command(bodies, "--out", path.name, "--resume").wait() == 0
+    assert same_folders(path, bodies / "whole.zarr")
+
+
+def limited(size):
+    """Files of more than so many bytes are refused, as all are on a full disk."""
+    resource.setrlimit(resource.RLIMIT_FSIZE, (size, resource.getrlimit(resource.RLIMIT_FSIZE)[1]))
+
+
+@pytest.mark.parametrize("end", ["interrupt", "full"])
+def test_a_script_that_is_interrupted_or_fills_the_disk_ends_with_one_line_and_resumes(bodies, end):
+    path = bodies / f"{end}.zarr"
+    options = dict(stderr=subprocess.PIPE, text=True)
+    if end == "full":  # the first files are smaller, and the chunks of states larger
+        process = command(bodies, "--out", path.name, **options, preexec_fn=lambda: limited(100_000))
+    else:
+        process = command(bodies, "--out", path.name, **options)
+        wait_for_a_commit(path)
+        process.send_signal(signal.SIGINT)
+    lines = list(filter(None, process.communicate(timeout=60)[1].splitlines()))
+    assert process.returncode == {"full": 2, "interrupt": 130}[end]
+    said = {
+        "full": "File too large: .* holds everything up to step",
+        "interrupt": "stopped after .* steps, all of them",
+    }
+    assert re.fullmatch(rf"lieint: .*{said[end]}.*resume.*", lines[-1])
+    assert len(lines) == {"full": 1, "interrupt": 2}[end]  # that the chunk is being finished
+    assert not archives.load_store(path)[1]["progress"]["complete"]
+    assert command(bodies, "--out", path.name, "--resume").wait() == 0
+    assert same_folders(path, bodies / "whole.zarr")
 
 
 def wait_for_a_commit(path):
@@ -686,98 +754,18 @@ def wait_for_a_commit(path):
         time.sleep(0.05)
 
 
-def meet(folder, port, *options, own=((), ())):
-    distributed = ["--distributed", "--coordinator", f"localhost:{port}", "--processes", "2", "--process"]
-    text = dict(stderr=subprocess.PIPE, text=True)
-    return [command(folder, *options, *own[k], *distributed, str(k), **text) for k in range(2)]
-
-
-def test_two_processes_write_the_store_of_one(book):
-    for process in meet(book, free_port(), "--out", "two.zarr"):
-        error = process.communicate(timeout=120)[1]
-        assert process.returncode == 0, error
-    assert same_arrays(book / "two.zarr", book / "whole.zarr")
-
-
-@pytest.mark.parametrize("out", ["different.npz", "different.zarr"])
-def test_two_processes_of_different_scenarios_both_say_so_and_leave_nothing(book, out):
-    own = ["--members", "96"], ["--members", "100"]
-    for process in meet(book, free_port(), "--out", out, "--steps", "2000", own=own):
-        error = process.communicate(timeout=120)[1]
-        assert re.search(
-            r"given different runs: .*they differ in .*initial states, members.*\. Nothing was integrated", error
-        )
-        assert process.returncode == 2
-    assert not list(book.glob("*different*"))
-
-
-def same_arrays(a, b):
-    (x, _), (y, _) = archives.load_store(a), archives.load_store(b)
-    return all((p[...] == q[...]).all() for p, q in zip(jax.tree.leaves(x), jax.tree.leaves(y), strict=True))
-
-
-ALONE = """
-import os, sys, jax
-from lieint_jax.app.command import cli
-from lieint_jax.runs import processes
-connect = processes.initialize
-def connect_and_vanish(*arguments):
-    connect(*arguments)
-    if arguments[2] == 1:
-        os._exit(9)
-processes.initialize = connect_and_vanish
-sys.exit(cli.main(sys.argv[1:]))
-"""
-
-
-def test_a_process_that_is_lost_before_the_store_exists_is_named(book):
-    """Its sentence is the last line, and no stack of JAX's abort."""
-    port, text = free_port(), dict(stderr=subprocess.PIPE, text=True, cwd=book)
-    options = ["run", "book.toml", "--out", "never.zarr", "--distributed", "--coordinator", f"localhost:{port}"]
-    both = [
-        subprocess.Popen([sys.executable, "-c", ALONE, *options, "--processes", "2", "--process", str(k)], **text)
-        for k in range(2)
-    ]
-    errors = [process.communicate(timeout=120)[1] for process in both]
-    assert [process.returncode for process in both] == [1, 9]
-    assert errors[0].splitlines()[-1].startswith("lieint: process 1 of 2 is lost")
-    assert "Fatal" not in errors[0]
-    assert not (book / "never.zarr").exists()
-
-
-@pytest.mark.parametrize("victim", [1, 0], ids=["worker", "coordinator"])
-def test_the_loss_of_a_process_ends_the_other_and_the_store_resumes(book, victim):
-    path = book / f"lost-{victim}.zarr"
-    both = meet(book, free_port(), "--out", path.name)
-    wait_for_a_commit(path)
-    both[victim].kill()
-    both[victim].communicate()
-    start = time.monotonic()
-    error = both[1 - victim].communicate(timeout=60)[1]
-    assert time.monotonic() - start < 30
-    assert both[1 - victim].returncode != 0
-    if victim == 1:  # the coordinator's own loss may end in the runtime's abort
-        assert "process 1 of 2 is lost; what is in the store can be resumed" in error or "unhealthy" in error
-    assert not archives.load_store(path)[1]["progress"]["complete"]
-    assert command(book, "--out", path.name, "--resume").wait() == 0
-    assert same_arrays(path, book / "whole.zarr")
-
-
-def test_the_command_line_writes_resumes_and_shows(tmp_path, lieint):
-    (tmp_path / "book.toml").write_text(scenario_files.book(steps="steps = 2000", members="members = 100"))
-    arguments = ["run", "book.toml", "--out", "run.zarr", "--members", "3"]
-    assert "3 of 3 members converged at every step" in lieint(*arguments, "--devices", "1")
-    assert "run.zarr exists and is not overwritten" in lieint.refuse(*arguments)
-    assert cli.main([*arguments, "--resume"]) == 0
-    assert "scenario.members is 3 in the store and 4 here" in lieint.refuse(
-        "run", "book.toml", "--out", "run.zarr", "--members", "4", "--resume"
-    )
+def test_the_command_writes_resumes_and_shows(fresh_folder, lieint):
+    run = ("run", scripts.written("writes.py"), "--steps", "2000", "--out", "run.zarr", "--members")
+    assert "3 of 3 members converged at every step" in lieint(*run, "3")
+    assert "run.zarr exists and is not overwritten" in lieint.refuse(*run, "3")
+    lieint(*run, "3", "--resume")
+    assert "members is 3 in the store and 4 here" in lieint.refuse(*run, "4", "--resume")
     out = lieint("info", "run.zarr")
     assert "complete: 21 of 21 entries" in out
     assert "so3_midpoint[symplectic]" in out
-    assert "precession period" in lieint("plot", "run.zarr")
-    lieint.drew("run-path.png")
-    assert "run-path.png exists" in lieint.refuse("plot", "run.zarr")
+    assert "3 of 3 members converged at every step" in lieint("plot", "run.zarr")
+    lieint.drew("run-motion.png", "run-errors.png")
+    assert "run-errors.png exists" in lieint.refuse("plot", "run.zarr")
 
 
 EIGHT = """

@@ -18,7 +18,6 @@ import pytest
 from stores import assert_same
 
 import lieint_jax as li
-from lieint_jax.app.command import info
 from lieint_jax.runs import processes
 from lieint_jax.runs import store as archives
 
@@ -215,12 +214,12 @@ def test_cores_are_those_of_the_quota(tmp_path, monkeypatch, version):
     assert li.count_cores() == 3
 
 
-def test_parts_of_another_machine_are_accepted_if_asked_for_and_recorded(tmp_path, monkeypatch):
+def test_parts_of_another_machine_are_accepted_if_asked_for_and_recorded(tmp_path, monkeypatch, lieint):
     path = tmp_path / "run.zarr"
     whole = li.run(STEP, STATES, **OPTIONS)
     options = dict(store=path, **OPTIONS)
     li.run(STEP, STATES, part=(0, 2), **options)
-    assert "part 0 on" not in info.contents(path)
+    assert "part 0 on" not in lieint("info", path)
     internals.another_machine(monkeypatch, "another processor", "9.9.1")
     refused = r"another machine.*jaxlib is .* and '9\.9\.1' here; device is .* and 'another processor' here\."
     with pytest.raises(ValueError, match=refused):
@@ -229,7 +228,7 @@ def test_parts_of_another_machine_are_accepted_if_asked_for_and_recorded(tmp_pat
         li.run(STEP, STATES, part=(1, 2), same_bits=False, **options | {"dt": 0.2})
     found = submit(path, Engine(), 2, same_bits=False)
     assert_same(found.state, whole.state)
-    text = info.contents(path)
+    text = lieint("info", path)
     assert re.search(r"part 1 on another processor, native, jax .*, jaxlib 9\.9\.1", text)
     assert re.search(r"part 0 on \S.*, native, jax ", text)
 

@@ -171,3 +171,26 @@ def test_transition_can_be_vmapped_and_keeps_its_dtype():
     small = jax.tree.map(lambda x: jnp.asarray(x, jnp.float32), (step, SPINNING))
     found = li.transition(*small, DT, 10, parameters="inertia")
     assert found.matrix.dtype == found.by_parameters["inertia"].dtype == jnp.float32
+
+
+def test_bodies_of_uncertain_inertia_scatter_as_the_derivatives_predict():
+    """Each of 200 clones, to the square of its deviation: observed 1.2e-5 of the largest displacement at 1e-5."""
+    inertia, rate, dt, count = jnp.array([3.0836, 3.235, 1.0]), jnp.array([0.25, 0.59, -1.72]), 0.005, 400
+    q = li.groups.so3.exp(jnp.array([0.3, -1.0, 0.7]))
+
+    def body(x):
+        second = (jnp.sum(inertia) / 2 - inertia) * jnp.exp(x)  # moments of mass along the axes
+        return li.systems.rigid_body(jnp.sum(second) - second)
+
+    def start(x):
+        return body(x).state(q, angular_velocity=rate)
+
+    x = 1e-5 * np.random.default_rng(4).normal(size=(200, 3))
+    steps, states = jax.jit(jax.vmap(lambda x: (li.schemes.so3_midpoint(body(x)), start(x))))(x)
+    run = li.run(steps, states, dt, count, save_every=count, own_step=True, progress=False)
+    found = li.transition(lambda x: li.schemes.so3_midpoint(body(x)), start, dt, count, parameters=jnp.zeros(3))
+    space, ends = body(jnp.zeros(3)).phase_space, jax.tree.map(lambda y: jnp.asarray(y[-1]), run.state)
+    moved = np.asarray(jax.vmap(lambda z: space.displacement(found.state, z))(ends))
+    predicted = x @ np.asarray(found.by_parameters).T
+    assert abs(predicted).max() > 1e-6
+    np.testing.assert_allclose(moved, predicted, rtol=0, atol=5e-5 * abs(predicted).max())

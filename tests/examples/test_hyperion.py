@@ -119,7 +119,6 @@ def test_a_small_run_reports_all_exponents_and_draws(tmp_path, capsys):
         row = re.search(rf"{date} +{re.escape(reading)} +(\S+) ± (\S+) +(\S+) ± (\S+)", text)
         assert all(float(x) > 0 for x in row.groups())
     assert (tmp_path / "small-section.png").exists()
-    assert (tmp_path / "small-observed.png").exists()
     assert li.open(out).load().members == 12
 
 

@@ -1,13 +1,17 @@
 """Work against precision of two bodies like 1999 KW4: `python tests/lib/kw4.py` prints the table."""
 
 import functools
+import tempfile
+from pathlib import Path
 
 import jax
+import jax.numpy as jnp
 import numpy as np
+from example_runs import run_example
 from two_bodies import reference
 
 from lieint_jax import schemes
-from lieint_jax.app import scenarios
+from lieint_jax.examples import kw4
 from lieint_jax.groups import so3
 
 TIME = 2 * 18.6 * 3600.0  # two orbits of this state, 13.5 turns of the primary
@@ -29,8 +33,9 @@ SCHEMES = {  # the scheme, and its force evaluations a step
 @functools.cache
 def start():
     """The bodies and the nominal state of `lieint run kw4`."""
-    step, states = scenarios.load("kw4", members=1).build()
-    return jax.tree.map(lambda x: x[0], step.system), jax.tree.map(lambda x: x[0], states)
+    with tempfile.TemporaryDirectory() as folder:
+        one = run_example(kw4, Path(folder), members=1, steps=40)[1].member(0)
+        return one.system, jax.tree.map(lambda x: jnp.asarray(x[0]), one.state)
 
 
 @functools.cache

@@ -124,6 +124,28 @@ def test_tilt_and_rates_of_groups_and_of_several_bodies():
 
 
 @pytest.mark.long
+def test_angles_of_satellites_of_their_own_inertia_are_those_of_each_alone():
+    """Each by the axis of its own least inertia: x of the first, y of the second."""
+    orbit = li.orbits.kepler(1.0, 1.0, 0.1)
+    J = jnp.array([[1.0, 1.4, 1.6], [1.6, 1.0, 1.4]])
+
+    def member(J):
+        body = li.systems.gravity_gradient(J, orbit)
+        state = body.state(so3.exp(jnp.array([0.1, -0.2, 0.3])), angular_velocity=jnp.array([0.1, 0.2, 1.0]), t=0.0)
+        return li.schemes.splitting(body), state
+
+    run = go(*jax.vmap(member)(J), 0.05, 40, own_step=True)
+    found = measure.orbit_angles(run)
+    for k in range(2):
+        alone = measure.orbit_angles(run.member(k))
+        for many, one in zip(found, alone, strict=True):
+            np.testing.assert_allclose(many[:, k], one, rtol=0, atol=1e-15)
+    up = jax.vmap(lambda t: orbit(t)[0] / jnp.linalg.norm(orbit(t)[0]))(jnp.asarray(run.t))
+    long_axis = jax.vmap(so3.Ad, (0, None))(jnp.asarray(run.state.q[:, 1]), jnp.array([0.0, 1.0, 0.0]))
+    np.testing.assert_allclose(np.cos(found.vertical[:, 1]), jnp.sum(up * long_axis, axis=1), rtol=0, atol=1e-14)
+
+
+@pytest.mark.long
 def test_a_satellite_librates_about_the_vertical(tumblers):
     """In a circle: pitch with √(3(B − A)/C) n; one that spins fast crosses the horizon."""
     J = np.array([1.0, 1.4, 1.6])

@@ -134,3 +134,63 @@ def test_the_sleeping_top_wakes_below_the_threshold():
             else:
                 growth = np.sqrt(WEIGHT / A - (C * spin / (2 * A)) ** 2)
                 assert np.log(tilt[12] / tilt[8]) / 4 == pytest.approx(growth, rel=0.003)
+
+
+TOPS = [  # weight, axis, angular velocity; the third passes 0.9° from hanging, the fourth swings through a loop
+    (20.0, [0.0, 0.0, 1.0], [0.0, 0.0, 50.0]),
+    (20.0, [0.0, 0.6, 0.8], [1.0, 0.5, 4.0]),
+    (-3.0, [0.0, 0.0, 2.0], [1.0, 0.5, 4.0]),
+    (20.0, [0.0, 0.0, 1.0], [3.0, 0.0, 8.0]),
+]
+
+
+@jax.jit
+def facts(top, Omega):
+    """Of a top with an angular velocity: its motion in closed form, γ·π, Π, energy, and e₃ in space now and after a
+    period of nutation of the exact flow."""
+    state = top.state(so3.exp(jnp.array([0.8, 0.1, 0.0])), angular_velocity=Omega)
+    found = li.systems.lagrange_motion(top, state)
+    after = diagnostics.flow(top, state, found.nutation_period, 200)
+    east = [so3.Ad(z.q, jnp.array([0.0, 0.0, 1.0])) for z in (state, after)]
+    return found, top.momentum(state)[0], top.body_momentum(state), top.energy(state), east
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("case", TOPS, ids=["fast", "tilted", "hanging", "looping"])
+def test_lagrange_s_top_agrees_with_quadrature_in_30_digits_and_with_the_flow(case):
+    """Floors: period 3e-16, precession 3e-13 (roots close together), recurrence 2e-15."""
+    weight, axis, Omega = case
+    top = li.systems.heavy_top([5.0, 5.0, 1.0], [0.0, 0.0, weight], axis)
+    found, momentum, Pi, energy, east = jax.device_get(facts(top, np.array(Omega)))
+    with mpmath.workdps(30):
+
+        def number(x):
+            return mpmath.mpf(float(x))
+
+        size, Pi = number(np.linalg.norm(axis)), [number(x) for x in Pi]
+        sign = int(np.sign(weight))
+        alpha, a = abs(weight) * size * 2 / 5, (2 * number(energy) - Pi[2] ** 2) / 5
+        b, c = number(momentum) / size / 5, sign * Pi[2] / 5
+        guesses = np.sort(np.roots([float(x) for x in (alpha, -(a + c * c), 2 * b * c - alpha, a - b * b)]).real)
+        speed = lambda u: (a - alpha * u) * (1 - u * u) - (b - c * u) ** 2  # noqa: E731
+        u1, u2, u3 = (mpmath.findroot(speed, guess) for guess in guesses)
+
+        def integral(f):
+            def integrand(s):
+                u = u1 + (u2 - u1) * mpmath.sin(s) ** 2
+                return 4 * f(u) / mpmath.sqrt(alpha * (u3 - u))
+
+            return mpmath.quad(integrand, mpmath.linspace(0, mpmath.pi / 2, 9))
+
+        period, turned = integral(lambda u: 1), integral(lambda u: (b - c * u) / (1 - u * u))
+        assert abs(number(found.nutation_period) / period - 1) < 3e-15
+        assert abs(number(found.precession_rate) * period / turned - 1) < 3e-12
+        np.testing.assert_allclose(np.cos(found.inclination), [float(u2), float(u1)], rtol=0, atol=1e-13)
+    gamma = np.array(axis) / np.linalg.norm(axis)
+    east, turn = sign * np.array(east), float(found.precession_rate * found.nutation_period)
+    cosine = east @ gamma
+    assert abs(cosine[1] - cosine[0]) < 2e-14
+    across = np.linalg.svd(gamma[None])[2][1:]
+    across[1] *= np.sign(np.linalg.det([*across, gamma]))
+    angle = np.diff([np.arctan2(*(across @ x)[::-1]) for x in east])[0]
+    assert abs((angle - turn + np.pi) % (2 * np.pi) - np.pi) < 3e-12

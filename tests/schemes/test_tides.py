@@ -374,3 +374,22 @@ def test_at_a_constant_q_bodies_lock_too_and_a_threshold_too_low_for_the_step_is
     c = (1.5 * 0.5 * G * MASSES[::-1] ** 2 * RADII**5 / (Q * threshold * a**6) * (1 / J + a**2 / mu)).max()
     assert step(near, 1.2 / c)[1].converged
     assert not step(near, 3 / c)[1].converged
+
+
+@pytest.mark.quick
+def test_the_double_synchronous_state_is_the_outer_root():
+    """Of L = μ√(GMa) + J√(GM/a³), which has two roots above its least value, and none below; of Pluto and Charon."""
+    G, masses, J = 6.6743e-20, np.array([1.3025e22, 1.5875e21]), 6.3e27
+    mu, GM = masses.prod() / masses.sum(), G * masses.sum()
+    least = np.sqrt(3 * J / mu)
+
+    def momentum(a):
+        return mu * np.sqrt(GM * a) + J * np.sqrt(GM / a**3)
+
+    for a in (1.01 * least, 10 * least, 19596.0):
+        found = li.tides.double_synchronous(G, masses, J, momentum(a))
+        exact = brentq(lambda x, a=a: momentum(x) - momentum(a), least, 20 * a, xtol=1e-12, rtol=1e-15)
+        assert found.distance == pytest.approx(exact, rel=1e-9)
+        assert found.distance == pytest.approx(a, rel=1e-9)
+        assert found.period == pytest.approx(2 * np.pi * np.sqrt(a**3 / GM), rel=1e-9)
+    assert np.isnan(li.tides.double_synchronous(G, masses, J, 0.99 * momentum(least))).all()

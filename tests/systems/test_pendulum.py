@@ -287,3 +287,48 @@ def test_the_frame_form_is_q_dot_the_cross_products(seed):
     form = [[q @ (np.cross(dq[i], dp[j]) + np.cross(dp[i], dq[j])) for j in range(4)] for i in range(4)]
     np.testing.assert_allclose(form, omega, rtol=0, atol=2e-15)
     np.testing.assert_allclose(omega.T @ field, slope, rtol=0, atol=1e-14)  # ω(X_H, ·) = dH
+
+
+def test_the_closed_form_of_the_pendulum_has_three_known_limits():
+    """Three limits of it, by other formulas.
+
+    A conical pendulum goes round at √(G/cos θ), and its angle swings about θ with the frequency √(G(1 + 3cos²θ)/cos θ);
+    a swing in a plane has twice the time from lowest to lowest point, by the arithmetic-geometric mean.
+    """
+    G, theta = 9.80665, np.arccos(0.6)
+    rate = np.sqrt(G / 0.6)
+    bob = li.systems.pendulum(1.0, G, [0.0, 0.0, -1.0])
+
+    def closed(speed):
+        state = bob.state([0.8, 0.0, -0.6], velocity=[0.0, speed, 0.0])
+        return li.systems.lagrange_motion(*li.systems.pendulum_as_top(bob, state))
+
+    found = closed(0.8 * rate * 1.0001)
+    assert float(found.precession_rate) == pytest.approx(rate, rel=1e-3)
+    assert float(found.nutation_period) == pytest.approx(2 * np.pi / np.sqrt(G * (1 + 3 * 0.36) / 0.6), rel=1e-3)
+    np.testing.assert_allclose(found.inclination, np.pi - theta, rtol=0, atol=1e-3)  # from upward
+    x, y = 1.0, np.cos(theta / 2)
+    for _ in range(6):
+        x, y = (x + y) / 2, np.sqrt(x * y)
+    assert float(closed(1e-4).nutation_period) == pytest.approx(np.pi / x / np.sqrt(G), rel=1e-6)
+
+
+def test_the_pendulum_as_a_top_has_its_energy_and_momentum_and_no_spin():
+    bob = li.systems.pendulum(2.0, 9.80665, [0.6, 0.0, 0.8])
+    rng = np.random.default_rng(3)
+    q, v = rng.normal(size=(2, 5, 3))
+    q /= np.linalg.norm(q, axis=1, keepdims=True)
+    v -= q * np.sum(q * v, axis=1, keepdims=True)
+
+    @jax.jit
+    @jax.vmap
+    def both(q, v):
+        state = bob.state(q, velocity=v)
+        top, as_top = li.systems.pendulum_as_top(bob, state)
+        found = [(x.energy(z), x.momentum(z)) for x, z in ((bob, state), (top, as_top))]
+        return found, top.body_momentum(as_top)
+
+    ((energy, momentum), (of_top, momentum_of_top)), Pi = jax.device_get(both(q, v))
+    np.testing.assert_allclose(of_top, energy, rtol=0, atol=1e-13)
+    np.testing.assert_allclose(Pi[:, 2], 0, rtol=0, atol=1e-14)
+    np.testing.assert_allclose(momentum_of_top, -momentum, rtol=0, atol=1e-14)

@@ -206,3 +206,17 @@ def test_a_tumbling_state_has_its_periods_and_phases_in_both_modes(long_axis):
     x, y, _ = body.body_momentum(at(0.0))
     assert x > 0
     assert abs(y) < 1e-15
+
+
+def test_a_state_of_periods_that_no_mode_has_is_nan():
+    """The least ratio is that of small wobbles; next to the separatrix rounding leaves no digits of an immense one."""
+    J, pole = jnp.array(APOPHIS), jnp.array([0.0, 0.0, 1.0])
+    wobble = 1 / np.sqrt((1 - 0.61) * (1 - 0.965) / (0.61 * 0.965))
+    at = jax.jit(
+        lambda ratio: systems.RigidBody(J).periods(systems.tumbling_state(J, 1.0, ratio, pole, long_axis=False))
+    )
+    for ratio, exists in ((0.999 * wobble, False), (1.001 * wobble, True), (50.0, True), (150.0, False)):
+        found = np.asarray(at(ratio)[:2])
+        assert np.isfinite(found).all() == exists
+        if exists:
+            np.testing.assert_allclose(found, [1.0, ratio], rtol=1e-7)  # observed: 5e-9 of 50

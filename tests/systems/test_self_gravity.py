@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from scipy.integrate import quad
 from scipy.special import elliprf
 
 import lieint_jax as li
@@ -98,3 +99,14 @@ def test_a_spheroid_and_its_modes_are_right_to_round_off(e):
         wanted = [complex(Omega), complex(Omega + root), complex(Omega - root)]
     found = [li.systems.maclaurin_spheroid(e).angular_velocity, *li.systems.maclaurin_modes(e)]
     np.testing.assert_allclose(found, wanted, rtol=8e-15)
+
+
+@pytest.mark.parametrize("e", [0.2, 0.7, 0.97])
+def test_the_modes_of_a_spheroid_are_chandrasekhar_s_integral(e):
+    """σ = Ω ± √(3B₁₁ − Ω²) for G = M = R = 1, B₁₁ by quadrature."""
+    a, Omega = li.systems.maclaurin_spheroid(e)
+    c = a * np.sqrt(1 - e * e)
+    B11 = a * a * c * quad(lambda u: u / ((a * a + u) ** 3 * np.sqrt(c * c + u)), 0, np.inf, epsabs=1e-14)[0]
+    known = li.systems.maclaurin_modes(e)
+    assert known.sum() == pytest.approx(2 * Omega, rel=1e-14, abs=0)
+    assert ((known[0] - known[1]) / 2) ** 2 == pytest.approx(3 * B11 - Omega**2, rel=1e-8)

@@ -102,7 +102,7 @@ def compute(
             resume=resume or part is not None,
             same_bits=same_bits,
         )
-    return job.step, saves, Facts.of_store(str(options.path), saves.attributes)
+    return job.step, saves, Facts.of_store(str(address(options.path)), saves.attributes)
 
 
 def execute(engine: Engine, layout: Layout, output: MemoryOutput | StoreOutput, progress: bool) -> Saves | None:

@@ -19,6 +19,7 @@ from lieint_jax.runs._job.job import MemberSummary, Summary, with_member_axis
 from lieint_jax.runs._job.loop import Reduction
 from lieint_jax.runs._job.made_states import MakeStates
 from lieint_jax.runs._job.make_job import check_own_steps, is_batch
+from lieint_jax.runs._march.arguments import explained
 from lieint_jax.runs._storage.storage import StoreOptions, address
 from lieint_jax.runs.store._reading import open_with_step
 from lieint_jax.types import State, Step, Trajectory
@@ -107,6 +108,7 @@ def run(
     first: Reduction | None = ...,
     **options: Unpack[_Options],
 ) -> Run[None, MemberSummary]: ...
+@explained("li.run")
 @untransformed("li.run")
 def run(
     step: Step,
@@ -236,7 +238,7 @@ def open_run(
     """The run in a store, as `run` has written it or is writing it. Its arrays are read when they are indexed.
 
     Args:
-        path: a folder NAME.zarr, or a URL such as s3://bucket/NAME.zarr.
+        path: a folder NAME.zarr, a file NAME.zip of `run.save`, or a URL such as s3://bucket/NAME.zarr.
         own: classes and functions of the step and its system from outside this package, such as a custom potential, by
             their names in the store. If one is missing, the error message contains its name.
 

@@ -4,9 +4,11 @@ from __future__ import annotations
 
 import html
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
+from functools import partial
+from importlib import import_module
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Generic, TypeVar
+from typing import TYPE_CHECKING, Any, Generic, Literal, TypeVar
 
 import jax
 import jax.numpy as jnp
@@ -14,8 +16,9 @@ import numpy as np
 from jax import Array
 from numpy.typing import ArrayLike
 
-from lieint_jax import _checks, dates
+from lieint_jax import _checks, attitude, dates
 from lieint_jax._free_body import Periods
+from lieint_jax.runs._host import questions
 from lieint_jax.runs._host.execute import compute
 from lieint_jax.runs._host.save import write
 from lieint_jax.runs._job.facts import Facts, compile_map, dates_of, defect, from_start, lines, momentum, periods, plain
@@ -28,6 +31,7 @@ from lieint_jax.runs._storage.storage import StoreOptions
 from lieint_jax.types import State, Step, StepInfo, System, Trajectory, callable_pytree, labeled, pytree, static
 
 if TYPE_CHECKING:
+    from matplotlib.figure import Figure
     from pandas import DataFrame
     from scipy.spatial.transform import Rotation
     from xarray import Dataset
@@ -35,6 +39,16 @@ if TYPE_CHECKING:
 Saved = TypeVar("Saved", bound=Trajectory | None, covariant=True)
 Reduced = TypeVar("Reduced", bound=Summary | MemberSummary | None, covariant=True)
 _T = TypeVar("_T")  # a tree of arrays
+_INSTEAD = {  # where to find what people ask a run for
+    **{x: f"run.state.{x}" for x in ("q", "p", "work", "extra")},
+    **dict.fromkeys(("ts", "times_", "time"), "run.t"),
+    **dict.fromkeys(("ys", "states", "y", "x"), "run.state"),
+    **dict.fromkeys(("to_pandas", "dataframe", "df"), "run.to_dataframe()"),
+    **dict.fromkeys(("xarray", "dataset"), "run.to_xarray()"),
+    **dict.fromkeys(("momentum", "angular_momentum"), "run.momentum_error(), run.map(f)"),
+    **dict.fromkeys(("omega", "rates"), "run.angular_velocity()"),
+    **dict.fromkeys(("attitude", "attitudes", "quaternions"), "run.state.q, run.matrices(), run.euler(sequence)"),
+}
 _BLOCK = 2**26  # bytes of states that `map` reads from disk at once
 
 
@@ -100,6 +114,11 @@ class Run(Generic[Saved, Reduced]):
         text, steps = dates.text_of(epoch), len(trajectory.t) - 1
         facts = Facts(batch, own_step, None, steps, None, "", (), epoch=text, time_unit=time_unit)
         return Run(step, None, trajectory, None, failed, None, None, None, facts)
+
+    def __getattr__(self, name: str) -> Any:
+        """Called for what a run does not have: the error names what it has instead."""
+        way = _INSTEAD.get(name)
+        raise AttributeError(f"a Run has no {name!r}" + (f": see {way}" if way else ""), name=name, obj=self)
 
     @property
     def t(self) -> Array:
@@ -230,6 +249,67 @@ class Run(Generic[Saved, Reduced]):
             raise ValueError("each member has its own times: give run.member(k).at(times)")
         return interpolate_members(self.system, saved, times, 0 if self.own_step else None)
 
+    def energy(self) -> Array:
+        """The energy H at each save, (times,) or (times, members); `energy_error` is its change less work."""
+        return self.map(questions.hamiltonian)
+
+    def angular_velocity(self, frame: Literal["body", "space"] = "body") -> Array:
+        """The angular velocities at each save, rad per unit of time, (times, [members,] [bodies,] 3).
+
+        Args:
+            frame: whether their components are along the axes of the body or of space.
+
+        Raises:
+            ValueError: the system has no angular velocity.
+        """
+        if frame not in ("body", "space"):
+            raise ValueError(f'frame must be "body" or "space", got {frame!r}')
+        return self.map(questions.body_rates if frame == "body" else questions.space_rates)
+
+    def matrices(self) -> Array:
+        """The rotation matrices at each save, body to space, (times, [members,] [bodies,] 3, 3).
+
+        Raises:
+            ValueError: the system has no attitudes.
+        """
+        return self.map(questions.matrices)
+
+    def euler(self, sequence: str) -> Array:
+        """The Euler angles of the attitudes at each save, rad, (times, [members,] [bodies,] 3).
+
+        Args:
+            sequence: three letters as in `li.attitude.to_euler`, such as "ZYX" about the moving axes, or "xyz".
+
+        Raises:
+            ValueError: the system has no attitudes; another sequence.
+        """
+        return attitude.to_euler(sequence, self.map(questions.quaternions))
+
+    def rotate(self, vector: ArrayLike) -> Array:
+        """A vector that is fixed in the body, by its components in space at each save, (times, [members,] [bodies,] 3).
+
+        Args:
+            vector: its components along the axes of the body, (3,).
+
+        Raises:
+            ValueError: the system has no attitudes.
+        """
+        return self.map(partial(questions.rotated, _checks.real_array("vector", vector, (3,))))
+
+    def plot(self, title: str = "") -> Figure:
+        """Draw the motion of the first member: `li.plots.motion`; `li.plots.overview` writes all pictures of a run."""
+        return import_module("lieint_jax.plots").motion(self, title)
+
+    def animate(self, path: str | Path, shape: str | Path | Sequence[str | Path] = (), **options: Any) -> Path:
+        """Write an animation of the rotating bodies, NAME.gif, .mp4 or .html: `li.plots.animate`.
+
+        Args:
+            path: the file.
+            shape: files with the surfaces of the bodies.
+            options: as in `li.plots.animate`: member, title, seconds, fps, span.
+        """
+        return import_module("lieint_jax.plots").animate(self, path, shape, **options)
+
     def energy_error(self) -> Array:
         """H − W less its first value, (times,) or (times, members); W is the work, where the states count it."""
         return from_start(self.map(energy))
@@ -303,13 +383,15 @@ class Run(Generic[Saved, Reduced]):
         return run_of_saves(*compute(self.step, start, **options, progress=progress, earlier=saves))
 
     def save(self, path: str | Path | StoreOptions) -> Run[Saved, Reduced]:
-        """Write a run in memory to a new folder NAME.zarr, all of it or nothing, and return the run there.
+        """Write a run in memory to a new folder NAME.zarr or one file NAME.zip, and return the run there.
+
+        All of it is written or nothing. `li.open` reads both; a folder can be resumed, a zip file is complete.
 
         Raises:
-            ValueError: the folder exists; the run is not in memory, or not complete.
+            ValueError: the folder or file exists; the run is not in memory, or not complete.
         """
         if self.facts.source:
-            raise ValueError(f"the run is in {self.facts.source} already: copy the folder")
+            raise ValueError(f"the run is in {self.facts.source} already: copy that, or save run.load()")
         start, saves = self._start_and_saves()
         with _checks.on_host():
             job = checked_job(self.step, start, **self._options, store=path)

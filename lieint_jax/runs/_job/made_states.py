@@ -36,7 +36,8 @@ class MadeStates:
         part.
 
         Raises:
-            ValueError: the function returns no states, those of another number of members, or of changing shapes.
+            ValueError: the function returns no states, those of another number of members, or of changing shapes; all
+                together exceed this machine's memory.
         """
         found, first = None, members.start // BLOCK * BLOCK
         for start in range(first, members.stop, BLOCK):
@@ -45,6 +46,7 @@ class MadeStates:
                 self._last = start, _checked(self.function(numbers), len(numbers))
             made = self._last[1]
             if found is None:
+                _check_size(made, len(members))
                 found = jax.tree.map(lambda x: np.empty((len(members), *x.shape[1:]), x.dtype) if x.ndim else x, made)
             _fill(found, made, members, start)
         assert found is not None
@@ -87,6 +89,16 @@ def _checked(states: object, number: int) -> State:
         given = ", ".join(str(x.shape) for x in jax.tree.leaves(leaves))
         raise ValueError(f"states must return the states of {number} member(s) for as many numbers, got shapes {given}")
     return found
+
+
+def _check_size(made: State, members: int) -> None:
+    """Raise ValueError, before they are made, if the states of so many members exceed this machine's memory."""
+    size, memory = members * sum(x[:1].nbytes for x in jax.tree.leaves(made) if x.ndim), _checks.memory_of_machine()
+    if size > memory:
+        raise ValueError(
+            f"the initial states of {members} members would hold {_checks.spoken_size(size)} in memory, and this "
+            f"machine has {_checks.spoken_size(memory)}; use fewer members, or more parts: part=(k, n)"
+        )
 
 
 def _fill(found: State, made: State, members: range, start: int) -> None:

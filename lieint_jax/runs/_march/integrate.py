@@ -16,6 +16,7 @@ from jax.typing import ArrayLike
 
 from lieint_jax import _checks, native
 from lieint_jax._xla import compiled, with_common_mesh
+from lieint_jax.runs._march.arguments import explained
 from lieint_jax.runs._march.clock import (
     MOST_COUNTED,
     Clock,
@@ -48,6 +49,7 @@ class Adjoint(abc.ABC):
         """The states saved every `save_every` steps after the initial one, and the reports of the steps between."""
 
 
+@explained("li.integrate")
 def integrate(
     step: Step,
     state: State,

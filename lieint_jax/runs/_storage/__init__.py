@@ -1,1 +1,1 @@
-"""Files of results: in a folder or in a bucket, in chunks or in an archive, written by us or by others."""
+"""Files of results: in a folder or in a bucket, or in one file, written by us or by others."""

@@ -34,7 +34,7 @@ def _is_date(x: object) -> bool:
 
 NAME = re.compile(r"(?!\.)[^/\\\x00-\x1f\x7f-\x9f]+")
 _NATURAL = _Kind(_is_count, "an integer ≥ 0")
-COUNT = _Kind(lambda x: _is_count(x) and x > 0, "a positive integer")
+_COUNT = _Kind(lambda x: _is_count(x) and x > 0, "a positive integer")
 _TEXT = _Kind(lambda x: isinstance(x, str), "text")
 _TABLE = _Kind(lambda x: isinstance(x, dict), "a table")
 _TABLES = _Kind(lambda x: isinstance(x, list) and bool(x) and all(map(_TABLE.accepts, x)), "a list of tables")
@@ -42,24 +42,18 @@ _LIST = _Kind(lambda x: isinstance(x, list), "a list")
 LENGTHS = _Kind(lambda x: isinstance(x, list) and all(map(_is_count, x)), "a list of lengths")
 _TEXT_OR_TABLE = _Kind(lambda x: isinstance(x, str | dict), "text")
 _FLAG = _Kind(lambda x: isinstance(x, bool), "true or false")
-ARCHIVE_KEYS = {
-    "scenario": _TABLE._replace(required=False),
-    **dict.fromkeys(("title", "study", "lieint_jax", "jax"), _TEXT._replace(required=False)),
-    "quick": _FLAG._replace(required=False),
-    "tree": _Kind(lambda _: True, "a tree", required=False),
-}
 STORE_KEYS = {
     "progress": _TABLE,
     "run": _TABLE,
-    "members": COUNT,
+    "members": _COUNT,
     "batch": _FLAG,
     "num_steps": _NATURAL,
-    "num_entries": COUNT,
-    "member_chunk": COUNT,
-    "time_chunk": COUNT,
-    "parts": COUNT._replace(required=False),
+    "num_entries": _COUNT,
+    "member_chunk": _COUNT,
+    "time_chunk": _COUNT,
+    "parts": _COUNT._replace(required=False),
     "digests": _TABLE,
-    "save_every": _Kind(lambda x: x is None or COUNT.accepts(x), "a positive integer or null"),
+    "save_every": _Kind(lambda x: x is None or _COUNT.accepts(x), "a positive integer or null"),
     "dt": _Kind(
         lambda x: x is None or (isinstance(x, int | float) and not isinstance(x, bool) and abs(x) < 1e300),
         "a number or null",
@@ -97,27 +91,31 @@ def check_table(where: str, found: object, kinds: Mapping[str, _Kind]) -> None:
             raise ValueError(f"{key} of {where} is not {words}")
 
 
-def check_run(kinds: _Kinds, leaves: set[str], time: str) -> None:
+def check_run(kinds: _Kinds, leaves: set[str]) -> None:
     """Raise ValueError unless all arrays of a run have the same number of entries and of members."""
-    missing = ({time, "residual", "converged"} | leaves) - set(kinds)
+    missing = ({"time", "residual", "converged"} | leaves) - set(kinds)
     if missing:
         raise ValueError(f"it has no array {min(missing)}")
     (n, *_), (members, *_) = kinds["p"][0] or (0,), kinds["p"][0][1:] or (0,)
-    if not members or (time == "t" and not n):
+    if not members:
         raise ValueError(f"p has shape {kinds['p'][0]}, not (entries, members, …)")
-    expect(time, kinds, REALS, (n,))
+    expect("time", kinds, REALS, (n,))
     expect("residual", kinds, REALS, (n, members))
     expect("converged", kinds, _FLAGS, (n, members))
     for name in sorted(leaves):
         expect(name, kinds, REALS, (n, members), least=3 if name in ("q", "p") else 2)
 
 
-def expect(name: str, kinds: _Kinds, dtypes: tuple[str, ...], *shapes: tuple[int, ...], least: int = 0) -> None:
-    """Raise ValueError unless an array has one of these dtypes and shapes; with `least`, at least so many axes."""
+def expect(
+    name: str, kinds: _Kinds, dtypes: tuple[str, ...], wanted: tuple[int, ...], least: int | None = None
+) -> None:
+    """Raise ValueError unless an array has one of these dtypes and this shape.
+
+    With `least` it may have more axes than those of `wanted`, and has at least so many.
+    """
     shape, dtype = kinds[name]
     if dtype not in dtypes:
         raise ValueError(f"{name} is of {dtype}, not {' or '.join(dtypes)}")
-    found = shape[: len(shapes[0])] if least else shape
-    if found not in shapes or len(shape) < least:
-        wanted = f"({', '.join(map(str, shapes[0]))}, …)" if least > len(shapes[0]) else " or ".join(map(str, shapes))
-        raise ValueError(f"{name} has shape {shape}, not {wanted}")
+    if len(shape) < (least or 0) or (shape if least is None else shape[: len(wanted)]) != wanted:
+        more = f"({', '.join(map(str, wanted))}, …)"
+        raise ValueError(f"{name} has shape {shape}, not {wanted if (least or 0) <= len(wanted) else more}")

@@ -11,6 +11,7 @@ import abc
 import contextlib
 import json
 import os
+import re
 from collections.abc import Mapping
 from pathlib import Path, PurePosixPath
 from typing import Any, NamedTuple
@@ -19,6 +20,7 @@ from urllib.parse import urlsplit
 from lieint_jax.types.record import record
 
 _SCHEMES = ("s3", "gs", "az", "memory")
+_URL_AS_PATH = re.compile(rf"^({'|'.join(_SCHEMES)}):/(?!/)")  # as an option of type Path: pathlib removes a slash
 
 
 class Url(str):
@@ -46,7 +48,9 @@ def address(text: str | Path) -> Address:
     Raises:
         ValueError: a URL of another scheme, without a bucket or a name NAME.zarr, or with credentials in it.
     """
-    if isinstance(text, Path) or "://" not in text:
+    if isinstance(text, Path):
+        text = _URL_AS_PATH.sub(r"\1://", str(text))
+    if "://" not in text:
         return Path(text)
     parts = urlsplit(text)
     if parts.scheme not in _SCHEMES:
@@ -66,7 +70,7 @@ class StoreOptions(NamedTuple):
     """The path of a store, and attributes that are written with the results.
 
     Attributes:
-        path: a folder or a URL, whose name ends in .zarr.
+        path: a folder or a URL, whose name ends in .zarr; for `run.save` a folder, or one file NAME.zip.
         attributes: values for JSON, such as a title. The key "scenario" describes the run: a run with another scenario
             cannot resume it.
         time_unit: the unit of dt.
@@ -82,10 +86,12 @@ class StoreOptions(NamedTuple):
         return store if isinstance(store, StoreOptions) else cls(store)
 
 
-def checked_path(place: str | Path) -> Any:
-    """The path or URL of a store, checked as far as is possible before it exists."""
+def checked_path(place: str | Path, file: bool = False) -> Any:
+    """The path or URL of a store, checked as far as is possible before it exists; with `file` it may be a zip file."""
     path = address(place)
-    if path.suffix != ".zarr":
+    if path.suffix == ".zip" and not file:
+        raise ValueError(f"a run writes to a folder NAME.zarr, got {path}: run.save({path.name!r}) writes one file")
+    if path.suffix not in (".zarr", ".zip"):
         raise ValueError(f"a store is a folder that ends in .zarr, got {path}")
     if isinstance(path, Path) and os.path.lexists(path) and not os.path.exists(path):
         raise ValueError(f"{path} is a link to {path.readlink()}, which does not exist; remove it or make that folder")

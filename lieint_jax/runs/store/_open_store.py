@@ -1,4 +1,4 @@
-"""The check of a store NAME.zarr against its own description, before it is read."""
+"""The check of a store against its own description, before it is read: a folder NAME.zarr, or one file NAME.zip."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ import json
 import math
 import os
 import stat
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -29,9 +29,10 @@ from lieint_jax.runs._storage.kinds import (
     expect,
 )
 from lieint_jax.runs._storage.leaves import Table, store_name
-from lieint_jax.runs._storage.storage import Address
+from lieint_jax.runs._storage.storage import Address, Storage
 from lieint_jax.runs._storage.untrusted import JSON_BYTES, UnreadableError, parse_json, refuse_special, wrap_errors
-from lieint_jax.runs.store._root import Root, read_root
+from lieint_jax.runs._storage.zipped import checked_sizes
+from lieint_jax.runs.store._root import ROOT, Root, read_root
 
 _CHUNK_BYTES = 2**30
 _MAX_PARTS, _MOST_FILES = 10**6, 10**12
@@ -67,10 +68,10 @@ def described_root(path: Address) -> Root:
     storage = open_storage(path)
     if isinstance(path, Path):
         refuse_special(path)
-        if not path.is_dir():
-            raise UnreadableError(f"{path} does not exist, or is not the store of a run: that is a folder NAME.zarr")
+        if path.is_dir() == (path.suffix == ".zip"):
+            raise UnreadableError(f"{path} is not the store of a run: that is a folder NAME.zarr, or a file NAME.zip")
         with wrap_errors(path):
-            count = _check_files(path)
+            count = _check_files(path, storage)
     else:
         count = _MOST_FILES
     with wrap_errors(path, passed=(ValueError,)):
@@ -93,9 +94,21 @@ def described_root(path: Address) -> Root:
         return Root(storage, root)
 
 
-def _check_files(path: Path) -> int:
+def _check_files(path: Path, storage: Storage) -> int:
     """The number of files in a store, which must be ordinary files, with descriptions of bounded size."""
     count = 0
+    for name, size in checked_sizes(path).items() if path.suffix == ".zip" else _ordinary_files(path):
+        count += 1
+        if name.endswith(ROOT):
+            if size > JSON_BYTES:
+                raise ValueError(f"{name} has {_checks.spoken_size(size)}")
+            with contextlib.suppress(json.JSONDecodeError, UnicodeDecodeError, FileNotFoundError):
+                parse_json(storage.read(name))  # text that is not JSON is reported later, with what can be read
+    return count
+
+
+def _ordinary_files(path: Path) -> Iterator[tuple[str, int]]:
+    """The names and sizes of the files in a folder, which must be no devices, pipes or links to folders."""
     for folder, folders, names in os.walk(path):
         for link in (Path(folder, name) for name in folders if os.path.islink(Path(folder, name))):
             raise ValueError(f"{link.relative_to(path)} is a link to a folder")
@@ -108,13 +121,7 @@ def _check_files(path: Path) -> int:
                 continue  # a temporary file of a run that is writing
             if not stat.S_ISREG(status.st_mode):
                 raise ValueError(f"{file.relative_to(path)} is a device, a pipe or a socket")
-            count += 1
-            if file.name == "zarr.json":
-                if status.st_size > JSON_BYTES:
-                    raise ValueError(f"{file.relative_to(path)} has {_checks.spoken_size(status.st_size)}")
-                with contextlib.suppress(json.JSONDecodeError, UnicodeDecodeError, FileNotFoundError):
-                    parse_json(file.read_bytes())  # text that is not JSON is reported later, with what can be read
-    return count
+            yield file.relative_to(path).as_posix(), status.st_size
 
 
 def _check_arrays(shown: Any, files: int | None) -> Table:
@@ -168,6 +175,6 @@ def _check_attributes(found: Table, shown: Mapping[str, Table]) -> None:
         for name in {*leaves, "first_failure", *of_members} - ({"t"} - set(kinds)):
             expect(name, kinds, COUNTS if name == "first_failure" else REALS, (members,), least=1)
         return
-    check_run(kinds, set(leaves) - ({"t"} - set(kinds)), "time")
+    check_run(kinds, set(leaves) - ({"t"} - set(kinds)))
     if kinds["p"][0][:2] != (entries, members):
         raise ValueError(f"p has shape {kinds['p'][0]}, not ({entries}, {members}, …)")

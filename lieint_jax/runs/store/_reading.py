@@ -14,11 +14,9 @@ import numpy as np
 from lieint_jax.runs._job.job import SERIES, MemberSummary, Summary
 from lieint_jax.runs._job.loop import Change
 from lieint_jax.runs._storage.chunks import first_of
-from lieint_jax.runs._storage.disk import Disk
 from lieint_jax.runs._storage.files import open_storage, open_zarr
 from lieint_jax.runs._storage.leaves import Saves, Table, states_in
-from lieint_jax.runs._storage.open_archive import open_archive, read_trajectory
-from lieint_jax.runs._storage.storage import Address, Url
+from lieint_jax.runs._storage.storage import Address
 from lieint_jax.runs._storage.untrusted import wrap_errors
 from lieint_jax.runs.store import _published
 from lieint_jax.runs.store._description import UnknownNameError, make
@@ -56,22 +54,6 @@ def _check_states(path: Address, system: System, stored: Saves) -> None:
         check_system(path, system, stored.found, stored.attributes["run"]["step_axis"] == 0)
 
 
-def load_results(path: Address, thorough: bool | None = None) -> tuple[Any, dict[str, Any]]:
-    """Read a run and its metadata: the run that `write_trajectory` wrote, or the complete part of a store.
-
-    For the form of a store's results, and `thorough`, see `load_store`.
-
-    Raises:
-        ValueError: the store is damaged (the message names the file and what can still be read), or `path` holds no
-            results.
-    """
-    if path.suffix == ".zarr":
-        return load_store(path, thorough)
-    assert not isinstance(path, Url)
-    found = open_archive(path)
-    return read_trajectory(found), found.metadata
-
-
 def load_store(path: Address, thorough: bool | None = None) -> tuple[Any, Table]:
     """The published part of the run in a store, checked, and the store's attributes.
 
@@ -80,6 +62,9 @@ def load_store(path: Address, thorough: bool | None = None) -> tuple[Any, Table]
     Args:
         path: the store.
         thorough: of a store in parts, look at every file; None does so on a disk.
+
+    Raises:
+        ValueError: the store is damaged (the message names the file and what can still be read), or there is none.
     """
     loaded = _load(path, thorough)
     return loaded.found, loaded.attributes
@@ -98,7 +83,7 @@ def read_part(root: Root, k: int, progress: Table) -> Saves:
 
 def read_written(path: Path) -> Saves:
     """The run in a store that this process has just written."""
-    storage = Disk(path)
+    storage = open_storage(path)
     root = read_root(storage)
     assert root is not None
     return read_part(Root(storage, root), 0, root["attributes"]["progress"])

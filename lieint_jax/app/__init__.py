@@ -1,1 +1,0 @@
-"""The application: the command `lieint`, scenarios, studies and their pictures. The library below never imports it."""

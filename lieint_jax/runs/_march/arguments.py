@@ -1,0 +1,49 @@
+"""Arguments of `li.run` and `li.integrate` in another order or under another name: the error says how to give them."""
+
+from __future__ import annotations
+
+import difflib
+import inspect
+from collections.abc import Callable
+from functools import wraps
+from typing import Any, TypeVar
+
+from lieint_jax import _checks
+from lieint_jax.types import State, Step
+
+_F = TypeVar("_F", bound=Callable[..., Any])
+_END = "num_steps, such as round(t_end / dt), or times"
+_INSTEAD = {  # names of other packages
+    **dict.fromkeys(("t_end", "t1", "tmax", "t_max", "tf", "duration", "t_span", "T"), _END),
+    **dict.fromkeys(("steps", "n_steps", "nsteps", "n", "length"), "num_steps"),
+    **dict.fromkeys(("h", "step_size", "timestep", "dt0"), "dt"),
+    **dict.fromkeys(("ts", "t_eval", "saveat"), "save_at"),
+    **dict.fromkeys(("y0", "state0", "initial_state", "z0"), "the initial state, as the second argument"),
+}
+
+
+def explained(name: str) -> Callable[[_F], _F]:
+    """Make a function of (step, states, dt, num_steps, …) explain arguments that it does not have, or swapped ones."""
+
+    def decorate(function: _F) -> _F:
+        known = inspect.signature(function).parameters
+
+        @wraps(function)
+        def call(*args: Any, **kwargs: Any) -> Any:
+            for given in kwargs:
+                if given not in known:
+                    near = difflib.get_close_matches(given, known, 1)
+                    way = _INSTEAD.get(given) or (near[0] if near else f"one of {', '.join(known)}")
+                    raise TypeError(f"{name} has no argument {given!r}: give {way}")
+            if len(args) > 1 and isinstance(args[0], State) and isinstance(args[1], Step):
+                raise ValueError(f"the step comes first: {name}(step, state, dt, num_steps)")
+            if len(args) > 3 and _checks.integer(args[2]) is not None and isinstance(args[3], float):
+                raise ValueError(
+                    f"dt comes before num_steps: {name}(step, state, dt, num_steps), got dt = {args[2]} and "
+                    f"num_steps = {args[3]}"
+                )
+            return function(*args, **kwargs)
+
+        return call  # pyright: ignore[reportReturnType]
+
+    return decorate
