@@ -183,6 +183,7 @@ def draw(motion):
     libration = np.rad2deg(motion.libration)
     for ax, x, label in zip(axes, (motion.distance, libration), ("distance (m)", "libration (°)"), strict=True):
         li.plots.member_series(ax, motion.t / DAY, x, label, "d")
+        ax.margins(y=0.25)  # room for the legend
     fig.suptitle(TITLE)
     return fig
 

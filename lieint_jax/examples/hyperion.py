@@ -302,7 +302,9 @@ def draw(run, section, angles):
         ylabel="spin rate θ̇ / n", title="surface of section at pericenter;\ngray: chaotic motions, colors: regular ones"
     )
     grids = (x.reshape(-1, angles) for x in (theta[0], rate[0], section[:, 0]))
-    shown = right.pcolormesh(*grids, shading="nearest", vmin=0, cmap="magma")
+    x, y, value = (np.concatenate([grid, grid[:, :1]], axis=1) for grid in grids)  # θ has the period π
+    x[:, -1] += np.pi
+    shown = right.pcolormesh(x, y, value, shading="nearest", vmin=0, cmap="magma")
     fig.colorbar(shown, ax=right, label="largest Lyapunov exponent in the plane / n")
     for ax in (left, right):
         ax.set(xlabel="θ, long axis from the line of apsides", xlim=(0, np.pi), ylim=(0, rate[0].max()))

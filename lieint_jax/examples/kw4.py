@@ -134,12 +134,12 @@ def main(
 
 @li.plots.style()
 def draw(motion, libration):
-    """Plot the distance and the libration of the members."""
+    """Plot the distance and the libration of the members in the first ten days."""
     fig, [axes] = li.plots.figure(2)
-    for ax, x, label in zip(
-        axes, (motion.distance, libration), ("distance (m)", "libration of the moon (°)"), strict=True
-    ):
-        li.plots.member_series(ax, motion.t / DAY, x, label, "d")
+    panels, first = {"distance (m)": motion.distance, "libration of the moon (°)": libration}, motion.t < 10 * DAY
+    for ax, (label, x) in zip(axes, panels.items(), strict=True):
+        li.plots.member_series(ax, motion.t[first] / DAY, x[first], label, "d")
+        ax.margins(y=0.25)  # room for the legend
     fig.suptitle(TITLE)
     return fig
 

@@ -136,8 +136,10 @@ def draw(run, distances):
     left.set(xlabel="x (m)", ylabel="y (m)", title="about the barycenter")
     moons = dict(zip(NAMES[1:], distances[:, 0, :2].T, strict=True))
     li.plots.series(right, run.t / DAY, moons, "distance from Alpha (m)", "d")
-    for ax in (left, right):
-        ax.legend()
+    for curve, look in zip(right.lines, li.plots.STYLES[1:], strict=False):  # the style of each body's path
+        curve.set(**look)
+    left.legend(loc="upper left", bbox_to_anchor=(1, 1))
+    right.legend()
     fig.suptitle(f"{TITLE}, nominal member")
     return fig
 
