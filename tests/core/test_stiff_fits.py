@@ -91,7 +91,7 @@ def test_bounds_and_many_starts_do_not_hide_soft_parameters(optimizer):
 @pytest.mark.long
 @pytest.mark.parametrize("optimizer", LEAST_SQUARES)
 def test_a_soft_parameter_next_to_a_singular_minimum_is_found(optimizer):
-    """At the local minimum of Freudenstein & Roth J is singular, and the loss alone decides; that of y is 1e-14 of it."""
+    """At the local minimum of Freudenstein & Roth J is singular, and only the loss tells; y changes 1e-14 of it."""
 
     def of(p):
         x, y = p["x"], p["y"]
