@@ -160,7 +160,7 @@ def text(
     """
     lines = [title, f"  {_size(run, time_unit)}, {run.step.name}"]
     if spread and (run.members or 1) > 1:
-        lines.append(f"  spread about the nominal state, an assumption (1 sigma, each component): {spread}")
+        lines.append(f"  spread about the nominal state, an assumption (1 sigma): {spread}")
     if run.facts.source:
         lines.append(f"  results in {run.facts.source}")
     width = max([_WIDTH, *(len(x.name) + 2 for x in (*changed, *rows))])

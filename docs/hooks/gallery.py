@@ -25,7 +25,7 @@ import lieint_jax
 from lieint_jax import examples
 
 # The older emitters of XLA's CPU compiler, which jaxlib has up to 0.10, compile in a third of the time.
-OLD = "--xla_cpu_use_fusion_emitters=false --xla_backend_optimization_level=0"
+OLD = "--xla_cpu_use_fusion_emitters=false"
 QUICKLY = OLD if jax.__version_info__ < (0, 11) else ""
 PACKAGE, FOLDER = Path(lieint_jax.__file__).parent, Path(examples.__path__[0])
 CACHE = user_cache_path("lieint", appauthor=False) / "gallery"
@@ -38,7 +38,7 @@ copy. The pictures were drawn when this site was built, many with fewer members 
 """
 SIZES = {  # options of scripts that need longer without them
     "apophis": "--members 400 --phases 12 --no-certificate",
-    "cubesat": "--members 20",
+    "cubesat": "--members 8",
     "didymos": "--members 20 --no-certificate",
     "driven": "--members 20 --steps 4000 --no-certificate",
     "gyro": "--trials 20",
@@ -52,13 +52,13 @@ SIZES = {  # options of scripts that need longer without them
     "pendulum": "--no-certificate",
     "pluto_charon": "--no-certificate",
     "pseudo_rigid": "--members 20 --no-certificate",
-    "satellite_fit": "--guesses 10000 --starts 60 --continued 20 --sets 20",
+    "satellite_fit": "--guesses 5000 --starts 40 --continued 10 --sets 10",
     "sensitivity": "--steps 5000",
     "sn263": "--members 5 --no-certificate",
     "toutatis": "--steps 16000",
     "toutatis_fit": "--sets 10 --members 100",
     "toutatis_flyby": "--members 200",
-    "water": "--steps 400 --molecules 27",
+    "water": "--steps 200 --molecules 8",
 }
 
 

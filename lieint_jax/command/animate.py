@@ -31,7 +31,7 @@ def animate(
     """Draw the rotating bodies of a stored run, with the paths of their axes: GIF, MP4 or HTML.
 
     Args:
-        path: the store, NAME.zarr, by its path or URL.
+        path: the store, NAME.zarr or NAME.zip, by its path or URL.
         out: NAME.gif, NAME.mp4 or NAME.html; by default a GIF next to the store, or here if that is at a URL.
         member: the index of the member, from 0.
         first: the time of the first frame; by default the start.

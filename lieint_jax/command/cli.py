@@ -10,6 +10,7 @@ import importlib
 import importlib.metadata
 import io
 import platform
+import re
 import sys
 import traceback
 import unicodedata
@@ -156,8 +157,10 @@ def _message(box: str) -> str:
     rules = [set(line) <= set("─-") for line in lines]
     first = 1 if rules[:1] == [True] else 0
     until = rules.index(True, first) if True in rules[first:] else len(lines)
-    text = " ".join(lines[first:until])
-    return text if text.endswith(".") else f"{text}."
+    text = " ".join(lines[first:until]).removesuffix(".")
+    if "Perhaps you meant:" in lines and (near := re.search(r"--[a-z][\w-]*", " ".join(lines[until:]))):
+        text += f"; did you mean {near[0]}?"
+    return text if text.endswith("?") else f"{text}."
 
 
 def _help() -> str:

@@ -28,7 +28,7 @@ def describe(path: tyro.conf.Positional[str]) -> None:
     """Describe the run in a store: its system and size, its progress, its parts, and what it conserved.
 
     Args:
-        path: the store, NAME.zarr, by its path or URL.
+        path: the store, NAME.zarr or NAME.zip, by its path or URL.
     """
     show(text(archives.address(path)))
 

@@ -23,7 +23,7 @@ def plot(path: tyro.conf.Positional[str], out: Path | None = None, force: bool =
     """Report on the run in a store and draw it: errors of energy and momentum, the motion, works of laws.
 
     Args:
-        path: the store, NAME.zarr, by its path or URL.
+        path: the store, NAME.zarr or NAME.zip, by its path or URL.
         out: the folder of the pictures; by default that of the store.
         force: replace existing pictures.
     """

@@ -43,8 +43,9 @@ def run(name: str, options: Sequence[str], read: Callable[..., Any]) -> None:
 
 
 def _refuse_existing(out: Path) -> None:
-    """Raise ValueError if results at `out` would replace that file or a picture; `li.run` checks a store itself."""
-    pictures = sorted(out.parent.glob(f"{out.stem}-[a-z]*.png"))
-    for file in (*([] if out.suffix == ".zarr" else [out]), *pictures):
+    """Raise ValueError if results at `out` would replace that file, or pictures next to it."""
+    if out.suffix == ".zarr" and out.exists():
+        raise ValueError(f"{out} exists and is not overwritten; --resume continues it, or choose another --out")
+    for file in (out, *sorted(out.parent.glob(f"{out.stem}-[a-z]*.png"))) if out.suffix in (".zarr", ".png") else ():
         if file.exists():
             raise ValueError(f"{file} exists and is not overwritten; move it away or choose another --out")

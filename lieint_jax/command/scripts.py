@@ -122,6 +122,10 @@ def _judged(error: Exception, file: Path) -> Exception:
     if inside and isinstance(error, OSError):
         return error
     if inside and isinstance(error, ValueError):
+        cause = error.__cause__.__traceback__ if error.__cause__ is not None else None
+        while cause is not None:  # what a function of the script raised, in the words of this package
+            line = cause.tb_lineno if Path(cause.tb_frame.f_code.co_filename) == file else line
+            cause = cause.tb_next
         return ValueError(f"{error} ({file.name}, line {line})")
     if isinstance(error, MemoryError) or "RESOURCE_EXHAUSTED" in str(error):
         return error

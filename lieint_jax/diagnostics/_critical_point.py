@@ -33,6 +33,7 @@ _RANK = 1e-9  # singular values of dΦ below this part of the largest one count 
 _BALANCINGS = 8  # sweeps that give the rows and columns of a matrix the size 1
 _SAMPLES = 2  # states at which rounding errors are measured
 _SAFETY = 32  # rounding errors: more than that is none
+_KNOWN = 1e-3  # units of the state: a larger rounding error leaves it unknown
 
 
 class Spins(NamedTuple):
@@ -155,8 +156,9 @@ class Correction(NamedTuple):
 
     @property
     def is_rounding(self) -> bool:
-        """Whether the state is a critical point, as far as rounding errors let one tell."""
-        return self.size <= _SAFETY * float(self.rounding.max()) and self.force <= _SAFETY
+        """Whether the state is a critical point, up to rounding errors, and these leave the state known."""
+        error = float(self.rounding.max())
+        return self.size <= _SAFETY * error and self.force <= _SAFETY and error <= _KNOWN
 
     @property
     def distance(self) -> float:
@@ -203,9 +205,9 @@ class Problem(NamedTuple):
         rates, eps = found.rates(), float(np.finfo(state.p.dtype).eps)
         g, (directions, _) = found.gradient(rates), found.directions()
         S = found.hessian(rates)
-        g_error, S_error = self._rounding(state, pull, found, rates, eps)
+        g_error, S_error, directions_error = self._rounding(state, pull, found, rates, eps)
         M, size = self._matrix(S, directions)
-        error = np.concatenate([S_error[:, self.free], eps * np.abs(M[:, self.free.size :])], axis=1)
+        error = np.concatenate([S_error[:, self.free], _WEIGHT * (size or 1) * directions_error.T], axis=1)
         inverse = _pseudo_inverse(M, error, eps)
         rest = np.eye(len(g)) - M @ inverse
         unsure = np.sqrt(rest**2 @ g_error**2) + eps * (np.abs(M) @ np.abs(inverse @ g) + size)
@@ -223,17 +225,19 @@ class Problem(NamedTuple):
 
     def _rounding(
         self, state: State, pull: Pull | None, found: Derivatives, rates: np.ndarray, eps: float
-    ) -> tuple[np.ndarray, np.ndarray]:
-        """The rounding errors of dK and d²K, in units of the state."""
-        g, S = found.gradient(rates), found.hessian(rates)
+    ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """The rounding errors of dK and d²K, in units of the state, and those of the directions of dΦ."""
+        g, S, (directions, sizes) = found.gradient(rates), found.hessian(rates), found.directions()
         g_error = eps * found.unit * (np.abs(found.energy) + np.abs(rates) @ np.abs(found.momentum))
-        S_error = np.zeros_like(S)
+        S_error, directions_error = np.zeros_like(S), eps * np.abs(directions)
         for delta in eps * np.random.default_rng(0).uniform(-3, 3, (_SAMPLES, len(g))):
             near = self.derivatives(self._moved(state, delta, found.unit), pull)
             near = near._replace(unit=found.unit)
             g_error = np.maximum(g_error, np.abs(near.gradient(rates) - g - S @ delta))
             S_error = np.maximum(S_error, np.abs(near.hessian(rates) - S))
-        return g_error, S_error
+            turned = np.abs(near.momentum * found.unit / sizes[:, None] - directions)
+            directions_error = np.maximum(directions_error, turned)
+        return g_error, S_error, directions_error
 
     def solved(self, guess: State) -> tuple[State, Correction]:
         """The critical point near a guess, and the correction there: by Newton's method, or else along a path.

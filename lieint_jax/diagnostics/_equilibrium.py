@@ -43,7 +43,8 @@ class Equilibrium(NamedTuple):
             a system without known symmetries.
         frame: ω, (3,), the angular velocity of the axes in space in which the field is constant; 0 if it is at rest.
         residual: how far the equilibrium may be from the state, as Newton's step and its rounding errors tell, in the
-            units of `moved`. It is large if stiffnesses differ so much that rounding hides a soft direction.
+            units of `moved`. It grows with the ratio of stiffnesses, as rounding hides soft directions; above 1e-3 no
+            equilibrium is found.
         moved: the largest change of a coordinate from the guess, in radians, or in units of the largest momentum, at
             rest of one that swings by a radian; for systems with a unit of length, in that unit.
         change: the change of every coordinate of the phase space, (2d,): of N bodies, `change.reshape(2, N, 6)` has the

@@ -225,8 +225,11 @@ class _Equation(FixedPointEquation[_Ends]):
     def improve(self, ends: _Ends) -> tuple[_Ends, Array]:
         F, K = self.linearized(ends)
         step = _correction(K, F)
-        improved, size = _Ends(ends.move - step.move, ends.turn - step.turn), jnp.max(jnp.abs(ends.move))
-        moved = jnp.max(jnp.abs(step.move)) / jnp.where(size > 0, size, 1)  # of rotations it is in rad
+        improved, moved = _Ends(ends.move - step.move, ends.turn - step.turn), jnp.max(jnp.abs(step.move), axis=1)
+        along = jnp.maximum(jnp.max(jnp.abs(ends.move), axis=1), moved)
+        place = jnp.maximum(jnp.max(jnp.abs(self.state.q[:, :3]), axis=1), along)  # of each body, which rounds so
+        size = jnp.minimum(place, jnp.max(along))  # fast bodies do not hide slow ones
+        moved = jnp.max(moved / jnp.where(size > 0, size, 1))  # of rotations it is in rad
         return improved, jnp.maximum(moved, jnp.max(jnp.abs(step.turn)))
 
     def inverses(self) -> tuple[Callable[[_Ends], _Ends], Callable[[_Ends], _Ends]]:

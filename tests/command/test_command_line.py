@@ -157,6 +157,22 @@ def test_what_this_package_refuses_is_one_line_with_the_line_of_the_script(liein
     assert re.fullmatch(r"lieint: inertia must be positive definite, got .* \(flat\.py, line 5\)\n", error)
 
 
+def test_a_fault_in_a_law_is_found_at_its_own_line(lieint):
+    own = script(
+        "faulty",
+        """
+        def law(t, q, omega):
+            return np.asarray(omega) * 2.0
+
+        li.systems.torqued_body([1.0, 2.0, 2.5], law)
+        """,
+    )
+    Path(own).write_text("import numpy as np\n" + Path(own).read_text())
+    error = lieint.refuse("run", own)
+    assert "torque fails as a function of t" in error
+    assert error.endswith("(faulty.py, line 7)\n")
+
+
 def test_a_file_that_is_no_script_is_refused_in_one_line(lieint, capsys):
     Path("binary.py").write_bytes(b"\x00\x01")
     Path("latin.py").write_bytes(b"x = '\xff'\n")
@@ -180,7 +196,7 @@ def test_a_file_that_is_no_script_is_refused_in_one_line(lieint, capsys):
 def test_wrong_options_are_one_line_with_tyros_sentence(lieint, book):
     for arguments, message in (
         (["--members", "x"], "Error parsing --members: invalid literal for int() with base 10: 'x'. See lieint run"),
-        (["--memers", "3"], "Unrecognized options: --memers, 3. See lieint run"),
+        (["--memers", "3"], "Unrecognized options: --memers, 3; did you mean --members? See lieint run"),
         (["--members"], "Missing value for argument '--members'. Expected 1 values. See lieint run"),
         (["--members", "0"], "--members must be at least 1, got 0"),
         (["--steps", "-5"], "--steps must be at least 1, got -5"),

@@ -77,7 +77,7 @@ def test_the_largest_change_is_printed_next_to_the_promise():
 
 
 def test_a_spread_is_named_for_several_members_only():
-    assert "(1 sigma, each component): attitude 1°" in report(spread="attitude 1°")
+    assert "(1 sigma): attitude 1°" in report(spread="attitude 1°")
     assert "sigma" not in li.report.text("One body", two_members().member(1), spread="attitude 1°")
 
 

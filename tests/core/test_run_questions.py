@@ -125,3 +125,29 @@ def test_a_run_draws_itself(tmp_path):
 def test_a_run_is_still_a_pytree():
     run = one()
     assert float(jax.jit(lambda r: jnp.sum(r.state.p))(run)) == pytest.approx(float(run.state.p.sum()))
+
+
+def test_inertias_that_were_made_inside_vmap_are_checked_where_a_run_begins():
+    def member(J):
+        body = li.systems.rigid_body(J)
+        return li.schemes.so3_midpoint(body), body.state(angular_velocity=jnp.array([0.1, 0.2, 0.3]))
+
+    J = np.array([[1.0, 2.0, 2.5], [-1.0, -2.0, -2.5]])
+    for values in (J, np.stack([np.diag(x) for x in J])):
+        step, states = jax.jit(jax.vmap(member))(values)
+        with pytest.raises(ValueError, match="inertia of member 1 must be positive definite, got"):
+            li.run(step, states, 0.1, 4, own_step=True, **QUIET)
+    step, state = jax.jit(member)(J[1])
+    for function in (li.run, li.integrate):
+        with pytest.raises(ValueError, match="inertia must be positive definite, got"):
+            function(step, state, 0.1, 4)
+
+
+def test_masses_that_were_made_inside_jit_are_checked_where_a_run_begins():
+    def pair(masses):
+        bodies = li.systems.rigid_bodies(masses, np.ones((2, 3)), lambda x, R: jnp.sum(x**2))
+        return li.schemes.splitting(bodies), bodies.state([[0.0, 0.0, 0.0], [3.0, 0.0, 0.0]])
+
+    step, state = jax.jit(pair)(jnp.array([1.0, -1.0]))
+    with pytest.raises(ValueError, match="masses must be positive, got"):
+        li.run(step, state, 0.1, 4, **QUIET)

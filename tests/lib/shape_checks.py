@@ -16,7 +16,7 @@ import lieint_jax as li
 
 @functools.cache
 def modules():
-    """All modules of the library, without the application."""
+    """All modules of the library, without the command, whose annotations are those of its options."""
     infos = pkgutil.walk_packages(li.__path__, "lieint_jax.")
     names = [info.name for info in infos if not info.name.startswith("lieint_jax.command")]
     return [importlib.import_module(name) for name in names]

@@ -21,6 +21,7 @@ from lieint_jax.runs._job.job import Job, chunk_members, list_members
 from lieint_jax.runs._job.loop import Reduction, energy
 from lieint_jax.runs._job.made_states import MadeStates, MakeStates
 from lieint_jax.runs._job.split import Split
+from lieint_jax.runs._march.arguments import check_inertias
 from lieint_jax.runs._march.clock import Clock, GridClock, UniformClock, clock_of, intervals, outputs, refuse_times
 from lieint_jax.runs._storage.storage import StoreOptions
 from lieint_jax.types import PhaseSpace, State, Step, callable_pytree, checked_step, leaves_by_name, promoted
@@ -151,6 +152,7 @@ def checked_job(
     """
     first_member = 0 if made is None else made.start
     step, states, dtype = promoted(checked_step(step), states)
+    check_inertias(step, step_axis is not None)
     states, t0 = _split_time(step, states, made)
     reduction, condition = _function(energy if reduce == "energy" else reduce), _function(first)
     clock, planned_steps = _make_clock(step, states, t0, dtype, dt, num_steps, times)

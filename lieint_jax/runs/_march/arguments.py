@@ -8,6 +8,9 @@ from collections.abc import Callable
 from functools import wraps
 from typing import Any, TypeVar
 
+import jax
+import numpy as np
+
 from lieint_jax import _checks
 from lieint_jax.types import State, Step
 
@@ -47,3 +50,27 @@ def explained(name: str) -> Callable[[_F], _F]:
         return call  # pyright: ignore[reportReturnType]
 
     return decorate
+
+
+_LEAST_NDIM = {"inertia": 1, "metric": 1, "inertias": 2, "masses": 1, "mass": 0}  # of the principal values, or numbers
+
+
+def check_inertias(step: Step, own_step: bool) -> None:
+    """Raise ValueError unless the masses and inertias of a system are positive.
+
+    Where a system is made inside of jit or vmap its constructor sees no numbers; those of a run are known.
+    """
+    system = step.system
+    for name, ndim in _LEAST_NDIM.items():
+        value = getattr(system, name, None)
+        if not isinstance(value, jax.Array | np.ndarray) or not _checks.concrete(value):
+            continue
+        x = np.asarray(value, float)
+        tensors = x.ndim - own_step > ndim  # else principal values
+        least = np.linalg.eigvalsh(x)[..., 0] if tensors and np.isfinite(x).all() else x
+        bad = ~(least.reshape(len(x) if own_step else 1, -1) > 0).all(axis=1)
+        if bad.any():
+            who = f" of member {int(bad.argmax())}" if own_step else ""
+            what = "positive definite" if "mass" not in name else "positive"
+            shown = x[bad.argmax()] if own_step else x
+            raise ValueError(f"{name}{who} must be {what}, got {np.array2string(shown, separator=', ')}")

@@ -16,7 +16,7 @@ from jax.typing import ArrayLike
 
 from lieint_jax import _checks, native
 from lieint_jax._xla import compiled, with_common_mesh
-from lieint_jax.runs._march.arguments import explained
+from lieint_jax.runs._march.arguments import check_inertias, explained
 from lieint_jax.runs._march.clock import (
     MOST_COUNTED,
     Clock,
@@ -100,6 +100,7 @@ def integrate(
         RuntimeWarning: a state's time is so large that its floating-point spacing exceeds dt/10⁶.
     """
     step, state, dtype = promoted(checked_step(step), state)
+    check_inertias(step, own_step=False)
     clock, num_steps = clock_of(step, state, dtype, dt, num_steps, times)
     if (parts := splits(step)) > 1:
         dt, clock, num_steps = None, halved(clock), parts * num_steps

@@ -107,7 +107,9 @@ def check_same(path: Address, stored: Table, now: Table, same_bits: bool = True)
     other_release = run["versions"].get("lieint_jax") != now["versions"]["lieint_jax"]
     if others or other_release or (equations and not versions):
         different = [*versions, *([] if versions else equations), *machine, *others]
-        raise ValueError(f"{path} holds another run and cannot be resumed by this one: {'; '.join(different)}")
+        longer = now["num_steps"] - run["num_steps"] if different == others and len(others) == 1 else 0
+        more = f". li.open({str(path)!r}).load().extend({longer}) adds the missing steps" if longer > 0 else ""
+        raise ValueError(f"{path} holds another run and cannot be resumed by this one: {'; '.join(different)}{more}")
     if equations:
         raise ValueError(
             f"{path} was begun with other packages, which may trace one function into different equations, so that it "
@@ -117,7 +119,7 @@ def check_same(path: Address, stored: Table, now: Table, same_bits: bool = True)
     if (versions or machine) and same_bits:
         raise ValueError(
             f"{path} is resumed on another machine, whose last bits may differ: {'; '.join([*versions, *machine])}. "
-            "Pass same_bits=False (--any-machine) to accept this"
+            "Pass same_bits=False to accept this"
         )
 
 
