@@ -24,16 +24,7 @@ from lieint_jax._checks import all_plain, concrete, for_each, host_array, named,
 from lieint_jax.potentials import Potential
 from lieint_jax.types import Converted, PairLaw, argument, pytree
 
-__all__ = [
-    "LaggingTides",
-    "LockedOrbit",
-    "PairLaw",
-    "PairOfTides",
-    "TidalPotential",
-    "constant_lag",
-    "constant_q",
-    "double_synchronous",
-]
+__all__ = ["LaggingTides", "PairLaw", "constant_lag", "constant_q", "double_synchronous"]
 
 
 @pytree

@@ -22,7 +22,7 @@ from lieint_jax.types import callable_pytree, pytree
 from lieint_jax.types.shapes import Calls
 from lieint_jax.types.vectors import dot
 
-__all__ = ["EarthField", "HarmonicField", "earth_field"]
+__all__ = ["earth_field"]
 
 _RADIUS = 6371.2  # km, of the coefficients of IGRF
 _YEARS = np.arange(2000.0, 2031.0, 5.0)

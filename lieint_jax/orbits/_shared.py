@@ -17,7 +17,7 @@ from lieint_jax.orbits._kepler import kepler
 from lieint_jax.types import pytree, static
 from lieint_jax.types.shapes import Calls
 
-__all__ = ["SharedFrame", "SharedFunction", "shared"]
+__all__ = ["shared"]
 
 
 @dataclass(frozen=True, eq=False)

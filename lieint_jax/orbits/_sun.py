@@ -21,7 +21,7 @@ from lieint_jax.types import Converted, argument, callable_pytree, pytree, stati
 from lieint_jax.types.shapes import Calls
 from lieint_jax.types.vectors import cross, dot, norm
 
-__all__ = ["Eclipse", "SunDirection", "eclipse", "sun_direction"]
+__all__ = ["Eclipse", "eclipse", "sun_direction"]
 
 SUN_ANGLE = 0.0046524  # the half-angle of the Sun at 1 au: asin(696000 km / 149597870.7 km)
 

@@ -32,7 +32,6 @@ _MARKED = 8  # markers on each curve of `series`
 _COMPARABLE = 30  # works with peaks of such a ratio are drawn on a linear axis
 _LAYOUTS = 4  # drawings after which a constrained layout has settled: each moves the panels less
 _DOTS, _HEXAGONS = 2000, 60  # points that are drawn as dots, and hexagons across an axis for more
-_AMPLIFIED, _STARTS = 100.0, 50  # growth of deviations that is worth a line, and times from which it is measured
 _NEAR = 1e6  # a curve with errors below so many round-offs is drawn with the line of round-off
 
 
@@ -195,26 +194,6 @@ def round_off(ax: Axes, epsilon: float = float(np.finfo(float).eps), of: str = "
     """Draw a line at the round-off `epsilon` of numbers of the size `of`; by default at that of 1 in float64."""
     ax.axhline(epsilon, color=GRAY, lw=1.2, zorder=1, label=f"round-off, ε{of} = {epsilon:.1e}".replace("e-", "e−"))
     ax.legend()
-    return ax
-
-
-def amplified_round_off(ax: Axes, t: np.ndarray, linearizations: np.ndarray, of: str = "") -> Axes:
-    """Draw how far a motion amplifies round-off, if more than a hundredfold: errors below the line are no defect.
-
-    An error made at a time s has grown by ‖L(t) L(s)⁻¹‖ at t; the line is ε times the largest growth, over `_STARTS`
-    times s. It grows like t for a stable motion, and exponentially about an unstable one, such as a middle axis.
-    `linearizations` are L(t), of the motion from its start to the times, (n, k, k); `of` is as in `log_error`.
-    """
-    growth = np.ones(len(t))
-    for s in np.unique(np.linspace(0, len(t) - 1, _STARTS).astype(int)):
-        since = np.linalg.norm(linearizations[s:] @ np.linalg.inv(linearizations[s]), axis=(1, 2))
-        growth[s:] = np.maximum(growth[s:], since)
-    if growth.max() > _AMPLIFIED:
-        label = f"ε{of} × growth of deviations: the motion amplifies round-off"
-        bound = np.finfo(float).eps * growth
-        ax.plot(t, bound, color=GRAY, lw=1.2, ls="--", zorder=1, label=label)
-        ax.set_ylim(top=max(ax.get_ylim()[1], 10 * bound.max()))
-        ax.legend()
     return ax
 
 

@@ -21,7 +21,7 @@ from lieint_jax.potentials._potential import Potential
 from lieint_jax.types import Converted, argument, pytree
 from lieint_jax.types.shapes import Calls, Positions, Rotations, Scalar
 
-__all__ = ["EllipsoidSphere", "ellipsoid_sphere"]
+__all__ = ["ellipsoid_sphere"]
 
 _MOST = 64  # corrections: at most 8 for axes of a ratio of 30, 15 for 10⁶
 

@@ -14,7 +14,7 @@ from lieint_jax.potentials._potential import Potential
 from lieint_jax.potentials._site_pairs import sites
 from lieint_jax.types.shapes import Calls
 
-__all__ = ["Molecule", "molecule", "water"]
+__all__ = ["molecule", "water"]
 
 _ALIGNED = 1e-12  # of the largest moment: smaller products of inertia are rounding
 

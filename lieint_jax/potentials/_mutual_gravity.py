@@ -28,7 +28,7 @@ from lieint_jax.shapes import Shape, box, ellipsoid, trace_free
 from lieint_jax.types import pytree, static
 from lieint_jax.types.shapes import Calls
 
-__all__ = ["MutualGravity", "mutual_gravity"]
+__all__ = ["mutual_gravity"]
 
 _POWERS = (1, 5, 7, 9)
 

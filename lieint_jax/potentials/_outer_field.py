@@ -19,7 +19,7 @@ from lieint_jax.potentials._site_pairs import group_sites, site_positions
 from lieint_jax.types import callable_pytree, pytree, static
 from lieint_jax.types.shapes import Calls, Positions, Rotations, Scalar
 
-__all__ = ["OuterField", "UniformField", "outer_field", "uniform_field"]
+__all__ = ["outer_field", "uniform_field"]
 
 
 @pytree

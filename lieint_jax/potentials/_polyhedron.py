@@ -31,7 +31,7 @@ from lieint_jax.shapes import Shape, trace_free
 from lieint_jax.types import pytree, vectors
 from lieint_jax.types.shapes import Calls, PoseMomenta, Positions, Rotations, Scalar
 
-__all__ = ["Polyhedron", "PolyhedronGravity", "polyhedron"]
+__all__ = ["PolyhedronGravity", "polyhedron"]
 
 _COLUMNS = 25  # of a face: its vertices, its normal, twice its area, the lengths of its edges and their normals
 _BLOCK = 4  # faces that are evaluated together on a CPU

@@ -22,7 +22,7 @@ from lieint_jax.potentials._potential import Potential
 from lieint_jax.types import pytree, static
 from lieint_jax.types.shapes import Calls, Positions, Rotations, Scalar
 
-__all__ = ["InverseDistance", "LennardJones", "lennard_jones", "point_charges", "point_masses", "sites"]
+__all__ = ["lennard_jones", "point_charges", "point_masses", "sites"]
 
 
 Groups = tuple[tuple[int, ...], ...]

@@ -45,7 +45,7 @@ from lieint_jax.schemes._catalogue import SchemeProperties
 from lieint_jax.types import Converted, State, Step, StepInfo, StoredEnergy, argument, pytree, static
 from lieint_jax.types.vectors import Matrix, Symmetric, Vector, dot, matrix, max_abs, mean_cofactor, symmetric
 
-__all__ = ["Additive", "additive"]
+__all__ = ["additive"]
 
 Rule = Literal["symplectic", "energy", "energy_momentum", "average", "incompressible"]
 _SHRINK = 0.1  # det G may fall to this part of itself in one Newton correction

@@ -43,7 +43,7 @@ from lieint_jax.schemes._catalogue import SchemeProperties
 from lieint_jax.types import Converted, State, Step, StepInfo, argument, pytree, static
 from lieint_jax.types.vectors import cross, matrix, symmetric, unit_trace, vector
 
-__all__ = ["BodiesEnergyMomentum", "bodies_energy_momentum"]
+__all__ = ["bodies_energy_momentum"]
 
 
 class _Ends(NamedTuple):

@@ -29,7 +29,7 @@ from lieint_jax.schemes._preprocessed import with_modified_inertia
 from lieint_jax.types import Converted, State, Step, StepInfo, argument, pytree, static, with_fields
 from lieint_jax.types.vectors import cross, dot, norm, symmetric
 
-__all__ = ["Calibrated", "calibrated"]
+__all__ = ["calibrated"]
 
 
 class Clock(NamedTuple):

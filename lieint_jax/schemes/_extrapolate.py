@@ -31,7 +31,7 @@ from lieint_jax.schemes.charts.body_axes import BODY_AXES
 from lieint_jax.types import Converted, State, Step, StepInfo, System, laws_of, pytree, static
 from lieint_jax.types.shapes import PyTree
 
-__all__ = ["Extrapolated", "extrapolate"]
+__all__ = ["extrapolate"]
 
 _CHARTS = {
     "one body": BODY_AXES,

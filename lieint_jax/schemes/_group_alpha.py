@@ -27,7 +27,7 @@ from lieint_jax.schemes._catalogue import SchemeProperties
 from lieint_jax.schemes._shared.group_newton import Equation, any_map, as_vector
 from lieint_jax.types import Converted, State, Step, StepInfo, argument, pytree, static
 
-__all__ = ["GroupAlpha", "group_alpha"]
+__all__ = ["group_alpha"]
 
 PROPERTIES = SchemeProperties(
     name="group_alpha",

@@ -31,7 +31,7 @@ from lieint_jax.schemes._catalogue import SchemeProperties
 from lieint_jax.schemes._shared.group_newton import Equation, as_vector
 from lieint_jax.types import Converted, State, Step, StepInfo, argument, pytree, static
 
-__all__ = ["GroupEnergyMomentum", "group_energy_momentum"]
+__all__ = ["group_energy_momentum"]
 
 _NODES, _WEIGHTS = np.polynomial.legendre.leggauss(5)
 _NODES, _WEIGHTS = (_NODES + 1) / 2, _WEIGHTS / 2

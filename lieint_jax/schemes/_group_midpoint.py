@@ -32,7 +32,7 @@ from lieint_jax.schemes._catalogue import SchemeProperties
 from lieint_jax.schemes._shared.group_newton import Equation, ad_star_matrix, any_map, as_vector
 from lieint_jax.types import Converted, State, Step, StepInfo, argument, pytree, static
 
-__all__ = ["GroupMidpoint", "group_midpoint"]
+__all__ = ["group_midpoint"]
 
 PROPERTIES = SchemeProperties(
     name="group_midpoint",

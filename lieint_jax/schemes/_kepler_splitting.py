@@ -25,7 +25,7 @@ from lieint_jax.schemes._shared.kepler_flow import kepler_flow
 from lieint_jax.types import State, Step, StepInfo, pytree, static
 from lieint_jax.types.vectors import dot, vector
 
-__all__ = ["KeplerSplitting", "kepler_splitting"]
+__all__ = ["kepler_splitting"]
 
 Order = int | tuple[int, ...]
 METHODS: dict[Order, Stages] = {

@@ -26,7 +26,7 @@ from lieint_jax.schemes._preprocessed import preprocessed
 from lieint_jax.schemes._splitting import kick
 from lieint_jax.types import Converted, State, Step, StepInfo, argument, pytree, static
 
-__all__ = ["Nystrom", "nystrom"]
+__all__ = ["nystrom"]
 
 
 class Stages(NamedTuple):

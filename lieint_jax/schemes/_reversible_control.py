@@ -21,7 +21,7 @@ from lieint_jax.schemes._catalogue import SchemeProperties
 from lieint_jax.schemes._splitting import examples as base_examples
 from lieint_jax.types import State, Step, StepInfo, System, callable_pytree, promoted, pytree, static, time_derivative
 
-__all__ = ["ReversibleControl", "reversible_control"]
+__all__ = ["reversible_control"]
 
 _KEY = "rho"
 

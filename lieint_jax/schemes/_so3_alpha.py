@@ -51,7 +51,7 @@ from lieint_jax.types.vectors import (
     unit_trace,
 )
 
-__all__ = ["SO3Alpha", "so3_alpha"]
+__all__ = ["so3_alpha"]
 
 PROPERTIES = SchemeProperties(
     name="so3_alpha",

@@ -22,7 +22,7 @@ from lieint_jax.phase_spaces import SphericalChart
 from lieint_jax.schemes._catalogue import SchemeProperties
 from lieint_jax.types import State, Step, StepInfo, autodiff_gradient, pytree, static
 
-__all__ = ["SphereChart", "sphere_chart"]
+__all__ = ["sphere_chart"]
 
 
 @pytree

@@ -22,7 +22,7 @@ from lieint_jax.schemes._catalogue import SchemeProperties
 from lieint_jax.types import State, Step, StepInfo, autodiff_gradient, pytree, static
 from lieint_jax.types.vectors import cross, dot, matrix, max_abs, norm
 
-__all__ = ["SphereMidpoint", "sphere_midpoint"]
+__all__ = ["sphere_midpoint"]
 
 _TURN = 2.5  # radians; no step of a midpoint rule turns by 180°, and near that other branches come close
 

@@ -38,7 +38,7 @@ from lieint_jax.schemes._shared.half_rotation import attitude_error_limit
 from lieint_jax.types import Group, State, Step, StepInfo, clock, pytree, static
 from lieint_jax.types.vectors import matrix, max_abs, symmetric
 
-__all__ = ["ElasticSplitting", "GyrostatSplitting", "Splitting", "splitting"]
+__all__ = ["GyrostatSplitting", "Splitting", "splitting"]
 
 # Bodies from which a drift costs less than their forces: 19 and 310 µs for 64 molecules, 260 and 140 ns for two.
 _MANY = 8

@@ -49,7 +49,7 @@ from lieint_jax.types.vectors import (
     vector,
 )
 
-__all__ = ["TopEnergyMomentum", "top_energy_momentum"]
+__all__ = ["top_energy_momentum"]
 
 _APART = 1e-4  # above this |ΔΓ|²/|Γ|² the quadrature is corrected so that D̄·ΔΓ = ΔṼ exactly
 

@@ -35,7 +35,7 @@ from lieint_jax.schemes._shared.inertia_in_time import advice_in_time, step_in_t
 from lieint_jax.schemes._shared.torque_equation import TorqueEquation
 from lieint_jax.types import Function, State, Step, StepInfo, clock, labels, pytree, static
 
-__all__ = ["DampedMidpoint", "TorquedMidpoint", "torqued_midpoint"]
+__all__ = ["DampedMidpoint", "torqued_midpoint"]
 
 
 @pytree

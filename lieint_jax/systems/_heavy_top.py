@@ -20,7 +20,6 @@ from lieint_jax.types import PotentialWithGradient, State, System, pytree, stati
 from lieint_jax.types.shapes import Scalar, Time, Vector3
 
 __all__ = [
-    "LagrangeMotion",
     "LinearPotential",
     "heavy_top",
     "is_lagrange_top",

@@ -25,7 +25,7 @@ from lieint_jax.torques import thruster
 from lieint_jax.types import Law, State, callable_pytree, clock, from_fields, pytree
 from lieint_jax.types.shapes import MomentumMap, Scalar, Time, Vector3
 
-__all__ = ["FrozenBody", "InertiaInTime", "TorquedInertiaInTime", "inertia_in_time"]
+__all__ = ["InertiaInTime", "TorquedInertiaInTime", "inertia_in_time"]
 
 _Inertia = Callable[[Array], Array]
 

@@ -21,7 +21,7 @@ from lieint_jax.systems._shared.on_group import check_element, group_element
 from lieint_jax.types import Converted, Group, State, argument, callable_pytree, pytree, static
 from lieint_jax.types.shapes import AlgebraVector, Time
 
-__all__ = ["Kinematics", "SampledRate", "kinematics", "sampled_rate"]
+__all__ = ["Kinematics", "kinematics", "sampled_rate"]
 
 Frame = Literal["body", "space"]
 Kind = Literal["interpolate", "mean"]

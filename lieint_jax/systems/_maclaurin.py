@@ -9,7 +9,7 @@ from numpy.typing import ArrayLike
 
 from lieint_jax._checks import host_array
 
-__all__ = ["Spheroid", "maclaurin_modes", "maclaurin_spheroid"]
+__all__ = ["maclaurin_modes", "maclaurin_spheroid"]
 
 
 class Spheroid(NamedTuple):

@@ -30,7 +30,7 @@ from lieint_jax.systems._shared.arguments import check_counts, explained, timed
 from lieint_jax.types import ChainLaw, PairLaw, State, callable_pytree, clock, from_fields, pair_forces, pytree, vectors
 from lieint_jax.types.shapes import Masses, MomentumMap, Poses, Positions, PyTree, Scalar
 
-__all__ = ["DissipativeBodies", "FreeBodies", "RigidBodies", "rigid_bodies"]
+__all__ = ["DissipativeBodies", "RigidBodies", "rigid_bodies"]
 
 _ARGUMENTS = "positions (N, 3) and rotations (N, 3, 3)"
 _LAW = "(r, v, ω_i, ω_j) ↦ (f, τ_i, τ_j)"

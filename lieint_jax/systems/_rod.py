@@ -22,7 +22,7 @@ from lieint_jax.systems._shared.arguments import explained
 from lieint_jax.types import ChainLaw, State, callable_pytree, pytree, static
 from lieint_jax.types.shapes import PoseMomenta, Positions, PyTree, Rotations, Scalar, Time
 
-__all__ = ["DissipativeRod", "ElasticRod", "KelvinVoigt", "Section", "circular_section", "rectangular_section", "rod"]
+__all__ = ["DissipativeRod", "ElasticRod", "Section", "circular_section", "rectangular_section", "rod"]
 
 End = str | ArrayLike | Callable[[Array], Array]
 _ENDS = '"free", "clamped", a pose (7,) or a function t ↦ pose (7,)'

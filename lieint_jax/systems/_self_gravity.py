@@ -23,7 +23,7 @@ from lieint_jax.systems._shared.stored_energy import plus
 from lieint_jax.types import StoredEnergy, pytree, vectors
 from lieint_jax.types.vectors import Symmetric
 
-__all__ = ["SelfGravity", "self_gravity"]
+__all__ = ["self_gravity"]
 
 _POINTS = 48  # of the rule on [−1, 1], of which an even function needs half
 _V, _W = (x[_POINTS // 2 :] for x in np.polynomial.legendre.leggauss(_POINTS))

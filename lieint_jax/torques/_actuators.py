@@ -24,7 +24,7 @@ from lieint_jax.types import Converted, Law, Rotation, argument, parts, pytree, 
 from lieint_jax.types.shapes import Calls, PyTree
 from lieint_jax.types.vectors import cross, dot
 
-__all__ = ["Torquers", "Unloading", "WheelMotor", "allocation", "torquers", "unloading", "wheel_motor", "wheel_pyramid"]
+__all__ = ["WheelMotor", "allocation", "torquers", "unloading", "wheel_motor", "wheel_pyramid"]
 
 
 def wheel_pyramid(tilt: ArrayLike = 0.6154797086703874, wheels: int = 4) -> Array:

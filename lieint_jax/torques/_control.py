@@ -14,7 +14,7 @@ from lieint_jax.types import Converted, Law, Rotation, argument, pytree
 from lieint_jax.types.shapes import Calls, PyTree
 from lieint_jax.types.vectors import dot
 
-__all__ = ["PDQuaternion", "PDTrace", "pd_quaternion", "pd_trace"]
+__all__ = ["PDTrace", "pd_quaternion", "pd_trace"]
 
 
 @pytree

@@ -27,7 +27,7 @@ from lieint_jax.types import Converted, Law, Rotation, argument, pytree, static
 from lieint_jax.types.shapes import Calls, PyTree
 from lieint_jax.types.vectors import Vector, cross, dot, norm
 
-__all__ = ["BDot", "EddyCurrent", "Hysteresis", "LimitedBDot", "bdot", "eddy_current", "hysteresis"]
+__all__ = ["LimitedBDot", "bdot", "eddy_current", "hysteresis"]
 
 _ROUNDINGS = 16  # tolerance, in ulps of |b| + |w|, for a rod at the edge of its hysteresis band
 

@@ -16,7 +16,7 @@ from lieint_jax.torques._window import mean_in_window, window
 from lieint_jax.types import Converted, Law, LawSum, Rotation, argument, as_law, pytree
 from lieint_jax.types.shapes import Calls, PyTree
 
-__all__ = ["ModifiedLaw", "Saturated", "Windowed", "saturated", "windowed"]
+__all__ = ["saturated", "windowed"]
 
 
 def without_state(law: Any) -> Law:

@@ -19,7 +19,7 @@ from lieint_jax.types import Law, Rotation, callable_pytree, pytree, vectors
 from lieint_jax.types.shapes import Calls, PyTree
 from lieint_jax.types.vectors import cross
 
-__all__ = ["Pointing", "SlidingMode", "Target", "pointing", "sliding_mode"]
+__all__ = ["Pointing", "Target", "pointing", "sliding_mode"]
 
 
 class _Error(NamedTuple):

@@ -21,15 +21,7 @@ from lieint_jax.types import Converted, Law, Rotation, argument, callable_pytree
 from lieint_jax.types.shapes import Calls, PyTree
 from lieint_jax.types.vectors import cross, dot
 
-__all__ = [
-    "AnyPotential",
-    "Dipole",
-    "DirectionalPotential",
-    "GravityGradient",
-    "dipole",
-    "gravity_gradient",
-    "potential",
-]
+__all__ = ["Dipole", "GravityGradient", "dipole", "gravity_gradient", "potential"]
 
 
 class DirectionalPotential(Law):

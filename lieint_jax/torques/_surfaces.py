@@ -21,16 +21,7 @@ from lieint_jax.types import Converted, Law, Rotation, argument, callable_pytree
 from lieint_jax.types.shapes import Calls, PyTree
 from lieint_jax.types.vectors import Vector, cross, dot, vector
 
-__all__ = [
-    "Aerodynamic",
-    "Plates",
-    "SolarPlate",
-    "SolarPlates",
-    "aerodynamic",
-    "box_plates",
-    "solar_plate",
-    "solar_plates",
-]
+__all__ = ["Aerodynamic", "aerodynamic", "box_plates", "solar_plate", "solar_plates"]
 
 
 @pytree

@@ -13,7 +13,7 @@ from lieint_jax.torques._window import mean_in_window, window
 from lieint_jax.types import Law, Rotation, pytree
 from lieint_jax.types.shapes import Calls, PyTree
 
-__all__ = ["Thruster", "thruster"]
+__all__ = ["thruster"]
 
 
 @pytree

@@ -14,7 +14,7 @@ import pytest
 import lieint_jax as li
 from lieint_jax import plots
 from lieint_jax.examples import gyro
-from lieint_jax.plots import runs
+from lieint_jax.plots import _axes, runs
 
 ROOT = Path(li.__file__).parent
 FILES = [path for folder in (ROOT, ROOT.parent / "benchmarks") for path in folder.rglob("*.py")]
@@ -57,7 +57,7 @@ def test_the_reds_and_greens_of_matplotlib_fail_the_test_of_color_vision():
 
 
 def test_eight_curves_have_distinct_colors_and_marks_and_a_ninth_is_refused():
-    assert len(set(plots.COLORS)) == len(set(plots.MARKS)) == len(plots.STYLES) == 8
+    assert len(set(plots.COLORS)) == len(set(_axes.MARKS)) == len(plots.STYLES) == 8
     _, axes = plots.figure()
     t = np.linspace(0, 1, 50)
     with pytest.raises(ValueError, match="9 curves cannot be distinguished on one panel: at most 8"):
@@ -157,11 +157,11 @@ def map_path(path, center=0.0):
 
 
 def test_a_path_on_the_map_ends_at_its_edge_and_begins_at_the_other_one():
-    equator = plots.unit_vectors(np.deg2rad([150, 170, 190, 210]), np.zeros(4))
+    equator = _axes.unit_vectors(np.deg2rad([150, 170, 190, 210]), np.zeros(4))
     np.testing.assert_allclose(map_path(equator)[0], [150, 170, 180, np.nan, -180, -170, -150], rtol=1e-15)
     np.testing.assert_allclose(map_path(equator[::-1])[0], [-150, -170, -180, np.nan, 180, 170, 150], rtol=1e-15)
     np.testing.assert_allclose(map_path(equator, 180)[0], [-30, -10, 10, 30], rtol=5e-15)
-    on_the_edge = map_path(plots.unit_vectors(np.deg2rad([170, 180, 190]), np.zeros(3)))[0]
+    on_the_edge = map_path(_axes.unit_vectors(np.deg2rad([170, 180, 190]), np.zeros(3)))[0]
     np.testing.assert_allclose(on_the_edge[[0, 1, 2, -2, -1]], [170, 180, 180, -180, -170], rtol=1e-15)
 
 
@@ -189,7 +189,7 @@ def test_points_are_dots_that_shrink_and_above_2000_counted_in_hexagons():
     rng = np.random.default_rng(0)
     _, axes = plots.figure(3)
     few, many, most = (
-        plots.points(ax, *rng.normal(size=(2, n)), f"{n} members", plots.BLUE).collections[0]
+        _axes.points(ax, *rng.normal(size=(2, n)), f"{n} members", plots.BLUE).collections[0]
         for ax, n in zip(axes[0], (20, 2000, 10_000), strict=True)
     )
     assert few.get_sizes()[0] > many.get_sizes()[0] >= 4  # of an area in points²
@@ -200,28 +200,10 @@ def test_points_are_dots_that_shrink_and_above_2000_counted_in_hexagons():
     assert axes[0, 2].get_legend_handles_labels()[1] == ["10000 members: darker where there are more"]
     _, axes = plots.figure(subplot_kw={"projection": "mollweide"})
     ax = plots.sky_points(
-        axes[0, 0], plots.unit_vectors(*rng.normal(size=(2, 3000))), "members", marker="P", s=45, lw=0
+        axes[0, 0], _axes.unit_vectors(*rng.normal(size=(2, 3000))), "members", marker="P", s=45, lw=0
     )
     assert ax.collections[0].get_sizes()[0] == 45
     assert len(ax.collections[0].get_offsets()) == 3000
-
-
-def test_round_off_that_a_motion_amplifies_is_a_line_of_its_own():
-    """Deviations of a saddle that shrink before they grow: x → exp(±u(t)) x with u = (t − 5)²/2."""
-    t = np.linspace(0, 10, 50)
-    for rate, drawn in ((0.1, False), (1.0, True)):
-        u = rate * ((t - 5) ** 2 - 25) / 2
-        _, axes = plots.figure()
-        ax = plots.log_error(axes[0, 0], t, {"nominal": np.full(50, 1e-16)}, "Poisson error")
-        motion = np.stack([np.diag([np.exp(x), np.exp(-x)]) for x in u])
-        lines = plots.amplified_round_off(ax, t, motion, "|H₀|").get_lines()
-        assert (len(lines) == 3) is drawn
-    largest = np.maximum.accumulate(u) - u, u - np.minimum.accumulate(u)  # of both directions, since the best start
-    expected = np.exp(np.maximum(*largest))
-    ratio = lines[2].get_ydata() / np.finfo(float).eps / expected
-    assert (ratio >= 1 - 1e-9).all()
-    assert (ratio <= np.sqrt(2) * (1 + 1e-9)).all()  # the norm of Frobenius
-    assert "amplifies round-off" in ax.get_legend().get_texts()[-1].get_text()
 
 
 def alone(step, start):
@@ -333,7 +315,7 @@ def map_with_a_legend_and_a_caption():
     wide.legend(loc="upper center", bbox_to_anchor=(0.5, -0.08), ncols=2, borderpad=0.9)
     axes[0, 1].plot([0, 1], [0, 1])
     axes[0, 1].set(aspect="equal", xlabel="east (°)", ylabel="north (°)")
-    plots.caption(fig, "A caption of so many words that it needs at least two lines below such a figure. " * 2)
+    _axes.caption(fig, "A caption of so many words that it needs at least two lines below such a figure. " * 2)
     return fig
 
 
