@@ -15,6 +15,7 @@ from typing import Any
 
 from lieint_jax import examples
 
+_MARK = "__lieint_script__"  # an attribute of modules of scripts, which another one may replace
 _PACKAGE = Path(__file__).parents[1]
 
 
@@ -80,13 +81,14 @@ def call(script: Any, function: Callable[[], None]) -> None:
 
 def _import_file(path: Path) -> ModuleType:
     """The module of a file, whose folder is on the path, as it is for `python FILE`."""
-    if path.stem in sys.modules and getattr(sys.modules[path.stem], "__file__", None) != str(path.absolute()):
+    if path.stem in sys.modules and not hasattr(sys.modules[path.stem], _MARK):
         raise ValueError(f"{path} has the name of a module that is imported already: choose another name")
     spec = importlib.util.spec_from_file_location(path.stem, path.absolute())
     assert spec is not None
     assert spec.loader is not None
     sys.path.insert(0, str(path.absolute().parent))
     module = sys.modules[path.stem] = importlib.util.module_from_spec(spec)  # where annotations are looked up
+    setattr(module, _MARK, True)
     try:
         spec.loader.exec_module(module)
     except UnicodeDecodeError:

@@ -67,6 +67,8 @@ def check_inertias(step: Step, own_step: bool) -> None:
             continue
         x = np.asarray(value, float)
         tensors = x.ndim - own_step > ndim  # else principal values
+        if tensors and not (x.shape[-2:] == (x.shape[-1],) * 2 and np.allclose(x, np.swapaxes(x, -1, -2), rtol=1e-6)):
+            continue  # the values of members, whose axis is refused later
         least = np.linalg.eigvalsh(x)[..., 0] if tensors and np.isfinite(x).all() else x
         bad = ~(least.reshape(len(x) if own_step else 1, -1) > 0).all(axis=1)
         if bad.any():
