@@ -1,7 +1,7 @@
 """A Griffe extension: docstrings as its parser wants them.
 
-`Example:` becomes the section `Examples:`, `a, b: text` of arguments or attributes becomes a line for each name, and a
-description that begins with > is no quotation.
+`Example:` becomes the section `Examples:`, `a, b: text` of arguments or attributes becomes a line for each name, a
+description that begins with > is no quotation, and shapes such as (times, [members,] [bodies,] 3) are no links.
 """
 
 import re
@@ -12,6 +12,7 @@ EXAMPLE = re.compile(r"^Example:(?: (.+(?:\n(?! |$).+)*))?\n(?=(?:\n| {4}).*>>>)
 SEVERAL = re.compile(r"^    (\w+(?:, \w+)+)(: .*(?:\n {8}.*)*)$", re.M)
 
 GREATER = re.compile(r"^(    \w+: )(?=>)", re.M)
+OPTIONAL = re.compile(r"(?<=,\] )\[(?=\w+,\])")
 
 
 class Docstrings(Extension):
@@ -21,6 +22,7 @@ class Docstrings(Extension):
         """Called for each module, class, function and attribute."""
         if obj.docstring:
             text = EXAMPLE.sub(_examples, obj.docstring.value)
+            text = OPTIONAL.sub(r"\\[", text)
             obj.docstring.value = GREATER.sub(r"\1\\", SEVERAL.sub(_each, text))
 
 
