@@ -104,7 +104,7 @@ def main(
     noise = jax.random.normal(jax.random.key(seed), (members, 4, 3)).at[0].set(0.0)
     satellites, states = jax.jit(jax.vmap(member))(noise)
     run = li.run(satellites, states, 2.0, steps, save_every=20, own_step=True, store=out, resume=resume, epoch=date)
-    extra, t, to_nadir = run.state.extra, np.asarray(run.t), jnp.array([0.0, 0.0, 1.0])
+    extra, t, to_nadir = run.state.extra or {}, np.asarray(run.t), jnp.array([0.0, 0.0, 1.0])
     works, H = np.asarray(extra["works"]), np.asarray(run.map(lambda step, z: step.system.energy(z)))
     rate = np.rad2deg(li.measure.rotation_rates(run))
     nadir = np.rad2deg(li.measure.tilt(run, direction=lambda t: so3.Ad(frame(t), to_nadir)))

@@ -135,7 +135,8 @@ def main(
 def facets():
     """The satellite: every face with the opposite one, which for a panel is its back."""
     axis, *surface = np.repeat(FACES, 2, axis=0).T
-    return li.shapes.GlossyFacets(np.eye(3)[axis.astype(int)] * np.tile([[1], [-1]], (len(FACES), 1)), *surface)
+    normals = np.eye(3)[axis.astype(int)] * np.tile([[1], [-1]], (len(FACES), 1))
+    return li.shapes.GlossyFacets(jnp.asarray(normals), *surface)
 
 
 def directions(t):

@@ -134,7 +134,7 @@ def draw(run, distances):
     fig, [[left, right]] = li.plots.figure(2)
     li.plots.paths(left, dict(zip(NAMES, np.moveaxis(np.asarray(run.state.q)[:, 0, :, :3], 1, 0), strict=True)))
     left.set(xlabel="x (m)", ylabel="y (m)", title="about the barycenter")
-    moons = dict(zip(NAMES[1:], distances[:, 0, :2].T, strict=True))
+    moons = {name: distances[:, 0, k] for k, name in enumerate(NAMES[1:])}
     li.plots.series(right, run.t / DAY, moons, "distance from Alpha (m)", "d")
     for curve, look in zip(right.lines, li.plots.STYLES[1:], strict=False):  # the style of each body's path
         curve.set(**look)
