@@ -87,5 +87,5 @@ def build(session):
             session.run("lieint", "run", "toutatis", "--members", "3", "--steps", "1600", "--out", f"{archive}.zarr")
         session.run("tar", "xzf", str(next(Path().glob("*.tar.gz"))), "--strip-components=1", external=True)
         session.install(".[test,docs]")
-        session.run("pytest", "-n", "0", "tests/app/test_readme.py", "tests/app/test_release.py")
+        session.run("pytest", "-n", "0", "tests/pages/test_readme.py", "tests/pages/test_release.py")
         session.run("mkdocs", "build", "--strict", "-f", "docs/mkdocs.yml")

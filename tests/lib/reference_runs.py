@@ -3,7 +3,7 @@
     python tests/lib/reference_runs.py          writes docs/pages/reference_runs/*.json
 
 Every motion has its equations written out here, for Taylor series in fixed-point numbers (`taylor`), and a run of the
-package with which `tests/app/test_reference_runs.py` compares them. All inputs are doubles without rounding.
+package with which `tests/pages/test_reference_runs.py` compares them. All inputs are doubles without rounding.
 """
 
 from __future__ import annotations
