@@ -24,22 +24,23 @@ def run(name: str, options: Sequence[str], read: Callable[..., Any]) -> None:
         options: the words after its name.
         read: read(function, name, words) ↦ the call of the function with these options; None if help was wanted.
     """
-    script = scripts.find(name)
-    call = read(script.main, f"lieint run {name}", options)
-    if call is None:
-        return
-    for argument in ("members", "steps"):  # by their meaning in every example
-        if isinstance(number := call.keywords.get(argument), int) and number < 1:
-            raise ValueError(f"--{argument} must be at least 1, got {number}")
-    if isinstance(out := call.keywords.get("out"), Path) and not call.keywords.get("resume"):
-        _refuse_existing(out)
-    members = call.keywords.get("members")
-    if isinstance(members, int) and members * _LEAST > (memory := _checks.memory_of_machine()):
-        need, have = _checks.spoken_size(members * _LEAST), _checks.spoken_size(memory)
-        raise ValueError(f"--members {members} needs at least {need} of memory, and this machine has {have}")
-    if not options and scripts.is_example(script):
-        listing.announce(f"run {Path(script.__file__).stem}")
-    scripts.call(script, call)
+    with scripts.importable(name):
+        script = scripts.find(name)
+        call = read(script.main, f"lieint run {name}", options)
+        if call is None:
+            return
+        for argument in ("members", "steps"):  # by their meaning in every example
+            if isinstance(number := call.keywords.get(argument), int) and number < 1:
+                raise ValueError(f"--{argument} must be at least 1, got {number}")
+        if isinstance(out := call.keywords.get("out"), Path) and not call.keywords.get("resume"):
+            _refuse_existing(out)
+        members = call.keywords.get("members")
+        if isinstance(members, int) and members * _LEAST > (memory := _checks.memory_of_machine()):
+            need, have = _checks.spoken_size(members * _LEAST), _checks.spoken_size(memory)
+            raise ValueError(f"--members {members} needs at least {need} of memory, and this machine has {have}")
+        if not options and scripts.is_example(script):
+            listing.announce(f"run {Path(script.__file__).stem}")
+        scripts.call(script, call)
 
 
 def _refuse_existing(out: Path) -> None:

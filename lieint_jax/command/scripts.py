@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+import contextlib
 import difflib
 import importlib
 import importlib.util
 import inspect
 import pkgutil
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from types import ModuleType
 from typing import Any
@@ -59,6 +60,18 @@ def find(name: str) -> Any:
     return module
 
 
+@contextlib.contextmanager
+def importable(name: str) -> Iterator[None]:
+    """While a script is read and called, its folder is on the path, as it is for `python FILE`."""
+    folder = [str(Path(name).absolute().parent)] if name.endswith(".py") else []
+    sys.path[:0] = folder
+    try:
+        yield
+    finally:
+        for each in folder:
+            sys.path.remove(each)
+
+
 def is_example(script: Any) -> bool:
     """Whether a script belongs to the package."""
     return Path(script.__file__).is_relative_to(_PACKAGE)
@@ -80,13 +93,12 @@ def call(script: Any, function: Callable[[], None]) -> None:
 
 
 def _import_file(path: Path) -> ModuleType:
-    """The module of a file, whose folder is on the path, as it is for `python FILE`."""
+    """The module of a file."""
     if path.stem in sys.modules and not hasattr(sys.modules[path.stem], _MARK):
         raise ValueError(f"{path} has the name of a module that is imported already: choose another name")
     spec = importlib.util.spec_from_file_location(path.stem, path.absolute())
     assert spec is not None
     assert spec.loader is not None
-    sys.path.insert(0, str(path.absolute().parent))
     module = sys.modules[path.stem] = importlib.util.module_from_spec(spec)  # where annotations are looked up
     setattr(module, _MARK, True)
     try:
