@@ -8,6 +8,7 @@ from typing import Any
 
 from lieint_jax import _checks
 from lieint_jax.command import listing, scripts
+from lieint_jax.runs import want_devices
 
 _LEAST = 200  # bytes of a member: the smallest state, its deviation and its result, in float64
 USAGE = """usage: lieint run NAME | FILE.py [options]
@@ -24,6 +25,7 @@ def run(name: str, options: Sequence[str], read: Callable[..., Any]) -> None:
         options: the words after its name.
         read: read(function, name, words) ↦ the call of the function with these options; None if help was wanted.
     """
+    want_devices(None)  # what XLA computes uses all cores, as machine code does
     with scripts.importable(name):
         script = scripts.find(name)
         call = read(script.main, f"lieint run {name}", options)

@@ -23,7 +23,7 @@ from lieint_jax.runs._job.job import Summary
 from lieint_jax.runs._job.loop import Reduction, compiler_options
 from lieint_jax.runs._job.made_states import MakeStates
 from lieint_jax.runs._job.over_members import over_members
-from lieint_jax.runs._job.part_of_task import part_of_task, part_of_text
+from lieint_jax.runs._job.part_of_task import part_of_task
 from lieint_jax.runs._march.clock import (
     UniformClock,
     at_time,
@@ -82,7 +82,6 @@ __all__ = [
     "open_run",
     "over_members",
     "part_of_task",
-    "part_of_text",
     "peak_memory",
     "prepared",
     "processes",

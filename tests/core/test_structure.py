@@ -168,7 +168,7 @@ def test_no_import_goes_in_a_circle():
 
 def test_the_house_has_few_rooms_and_every_one_a_floor():
     assert ROOMS - {"__init__"} == set(LEVEL)
-    assert len(ROOMS - {"__init__"}) <= 34  # of them `app` goes
+    assert len(ROOMS - {"__init__"}) <= 34
     assert all((path.parent / "__init__.py").is_file() for path in FILES)
 
 

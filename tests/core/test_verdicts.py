@@ -46,7 +46,7 @@ LOOPS = {
 def places():
     """The functions of the numerical package, with their names."""
     for path in sorted(PACKAGE.rglob("*.py")):
-        if "app" in path.relative_to(PACKAGE).parts:
+        if "command" in path.relative_to(PACKAGE).parts:
             continue
         for node in ast.walk(ast.parse(path.read_text())):
             if isinstance(node, ast.FunctionDef):

@@ -64,12 +64,12 @@ def part_of_task(count: int | None = None, environment: Mapping[str, str] = os.e
         )
         if count is None and reported is None:
             raise ValueError(
-                f"{scheduler.name} does not report the number of tasks to a task: give it, as in --part auto/8"
+                f"{scheduler.name} does not report the number of tasks to a task: give part=li.part_of_task(8)"
             )
         return checked_part(((index - first) // stride, count or reported or 1))
     raise ValueError(
         f"there is no array of tasks: none of {', '.join(s.task for s in SCHEDULERS)} is set. Give the part, as in "
-        "--part 3/8"
+        "part=(3, 8)"
     )
 
 
@@ -82,19 +82,6 @@ def checked_part(part: tuple[int, int]) -> tuple[int, int]:
     if k is None or count is None or not 0 <= k < count:
         raise ValueError(f"part must be (k, n), part k = 0 … n − 1 of n, got {part!r}")
     return k, count
-
-
-def part_of_text(text: str) -> tuple[int, int]:
-    """The part (k, n) of a text K/N, "auto" or "auto/N": see `part_of_task`."""
-    first, slash, last = text.partition("/")
-    try:
-        if first == "auto":
-            return part_of_task(int(last) if slash else None)
-        return checked_part((int(first), int(last)))
-    except ValueError as error:
-        if "invalid literal" not in str(error):
-            raise
-        raise ValueError(f"a part is K/N with K = 0 … N − 1, auto, or auto/N, got {text}") from None
 
 
 def _number(environment: Mapping[str, str], name: str) -> int | None:
