@@ -156,9 +156,10 @@ def text(
         changed: the conserved quantities, such as `changes(run)`.
         remarks: further lines, after the table.
         spread: the deviations of the members from the nominal state, in words, such as "attitude 0.3°".
-        time_unit: the unit of time, such as "d".
+        time_unit: the unit of time, such as "d"; by default that of the store.
     """
-    lines = [title, f"  {_size(run, time_unit)}, {run.step.name}"]
+    unit = time_unit or run.facts.time_unit
+    lines = [title, f"  {_size(run, '' if unit == '1' else unit)}, {run.step.name}"]
     if spread and (run.members or 1) > 1:
         lines.append(f"  spread about the nominal state, an assumption (1 sigma): {spread}")
     if run.facts.source:

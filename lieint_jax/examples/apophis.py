@@ -73,6 +73,7 @@ def main(
     """
     jax.config.update("jax_enable_x64", True)
     out, known = out or li.report.new_path("apophis.zarr", resume), np.array(SPIN[spin], float)
+    store = li.StoreOptions(out, {"title": TITLE}, "h")
     a = PERIGEE / (1 - ECCENTRICITY)
     orbit = li.orbits.shared(li.orbits.kepler(GM, a, ECCENTRICITY, *np.deg2rad(ANGLES)))
     spins, redrawn = jax.jit(jax.vmap(lambda k: draw(jax.random.key(seed), k, known)))(jnp.arange(members))
@@ -83,7 +84,7 @@ def main(
         return li.run(step, states._replace(t=states.t[0]), times=times, own_step=True, **options)
 
     bodies = start(spins)
-    run = integrate(bodies, steps, save_every=40, store=out, resume=resume)
+    run = integrate(bodies, steps, save_every=40, store=store, resume=resume)
     phi, psi = (x.ravel() * np.pi / phases for x in np.mgrid[: 2 * phases, :phases])
     nominal = [jnp.repeat(x[:1], phi.size, axis=0) for x in spins[:3]]
     mapped = integrate(start((*nominal, phi, psi)), steps, save_every=steps, progress=False)
@@ -103,7 +104,7 @@ def main(
         f"\n  attitude of {len(twice.failed)} members at the end, in steps half as long: {error:.1e} rad at most",
         f"  {failed} of these and of the bodies of the map had a step that did not converge\n{NOTES}\n",
     ]
-    print(li.report.text(TITLE, run, before_rows(orbit, before), remarks=remarks, time_unit="h"))
+    print(li.report.text(TITLE, run, before_rows(orbit, before), remarks=remarks))
     if certificate:
         step, state = jax.tree.map(lambda x: x[0], bodies)
         print(f"\nEven steps, nominal member:\n{li.diagnostics.certify(step, state, 2 * hours / steps, steps)}")

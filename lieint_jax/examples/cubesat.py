@@ -57,6 +57,7 @@ def main(
     """
     jax.config.update("jax_enable_x64", True)
     out = out or li.report.new_path("cubesat.zarr", resume)
+    store = li.StoreOptions(out, {"title": TITLE}, "s")
     so3, radius = li.groups.so3, 1e3 * li.orbits.EARTH_RADIUS
     kepler = li.orbits.kepler(
         1e9 * li.orbits.EARTH_GM,
@@ -103,7 +104,7 @@ def main(
 
     noise = jax.random.normal(jax.random.key(seed), (members, 4, 3)).at[0].set(0.0)
     satellites, states = jax.jit(jax.vmap(member))(noise)
-    run = li.run(satellites, states, 2.0, steps, save_every=20, own_step=True, store=out, resume=resume, epoch=date)
+    run = li.run(satellites, states, 2.0, steps, save_every=20, own_step=True, store=store, resume=resume, epoch=date)
     extra, t, to_nadir = run.state.extra or {}, np.asarray(run.t), jnp.array([0.0, 0.0, 1.0])
     works, H = np.asarray(extra["works"]), np.asarray(run.map(lambda step, z: step.system.energy(z)))
     rate = np.rad2deg(li.measure.rotation_rates(run))
@@ -129,7 +130,7 @@ def main(
     remarks.append(f"  at the end within {CAPTURED:g}° of the nadir: {k} of {members}, {share}")
     spread = "attitude {:g}°, angular velocity {:g}°/s, second moments of mass {:g} of them, residual dipole {:g} A m²"
     spread = spread.format(*SPREAD.values())
-    print(li.report.text(TITLE, run, rows, changed=changed, remarks=remarks, spread=spread, time_unit="s"))
+    print(li.report.text(TITLE, run, rows, changed=changed, remarks=remarks, spread=spread))
     if pictures:
         drawn = li.plots.save(draw(t, series), out.with_name(f"{out.stem}-phases.png"))
         print("pictures:", *drawn, *li.plots.overview(run, out, TITLE))

@@ -69,9 +69,10 @@ def main(
     """
     jax.config.update("jax_enable_x64", True)
     out = out or li.report.new_path("didymos.zarr", resume)
+    store = li.StoreOptions(out, {"title": TITLE}, "s")
     noise = jax.random.normal(jax.random.key(seed), (members, 4, 3)).at[0].set(0.0)
     step, states = jax.jit(jax.vmap(pair, (0, None)))(noise, speed_change / 1000)
-    run = li.run(step, states, dt, steps, save_every=2, own_step=True, store=out, resume=resume)
+    run = li.run(step, states, dt, steps, save_every=2, own_step=True, store=store, resume=resume)
     motion, parts = li.measure.relative_motion(run), li.measure.pair_energies(run)
     P, L = np.split(np.asarray(run.map(lambda step, state: step.system.momentum(state))), 2, axis=-1)
     of_moon, start = (np.linalg.norm(x, axis=-1, keepdims=True) for x in (run.state.p[0, :, 1, :3], L[0]))
@@ -91,7 +92,7 @@ def main(
         *impact(speed_change / 1000, dt, steps),
     ]
     spread = "relative velocity 0.1 mm/s; of the secondary: attitude 1°, angular velocity 1.5e-06 rad/s, semi-axes 3 %"
-    about = {"changed": changed, "remarks": remarks, "spread": spread, "time_unit": "s"}
+    about = {"changed": changed, "remarks": remarks, "spread": spread}
     print(li.report.text(TITLE, run, measured(motion, parts), **about))
     if certificate:
         print(f"\n{li.report.certificate(run)}")

@@ -50,6 +50,7 @@ def main(
     """
     jax.config.update("jax_enable_x64", True)
     out, so3 = out or li.report.new_path("driven.zarr", resume), li.groups.so3
+    store = li.StoreOptions(out, {"title": TITLE}, "s")
     orbit = li.orbits.kepler(MU, SEMI_MAJOR_AXIS, eccentricity, **ANGLES)
     satellite = li.systems.gravity_gradient(INERTIA, orbit)
     step = li.schemes.top_energy_momentum(satellite, li.maps.kappa_cayley)
@@ -63,7 +64,7 @@ def main(
         Omega = so3.Ad_star(q, rate) + change
         return satellite.state(so3.multiply(so3.exp(turn), q), angular_velocity=Omega, t=0.0, work=0.0)
 
-    run = li.run(step, jax.jit(jax.vmap(state))(noise), dt, steps, save_every=20, store=out, resume=resume)
+    run = li.run(step, jax.jit(jax.vmap(state))(noise), dt, steps, save_every=20, store=store, resume=resume)
     angles = li.measure.orbit_angles(run)
     least, greatest = (np.rad2deg(np.minimum(x, np.pi - x)) for x in (angles.vertical, angles.normal))
     rows = [
@@ -86,7 +87,6 @@ def main(
             changed=changed,
             remarks=[f"  {librating} of {members} members librate: their boom never crosses the horizon"],
             spread="attitude 10°, angular velocity 0.02°/s",
-            time_unit="s",
         )
     )
     if certificate:

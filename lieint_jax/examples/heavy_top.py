@@ -43,6 +43,7 @@ def main(
     """
     jax.config.update("jax_enable_x64", True)
     out = out or li.report.new_path("heavy_top.zarr", resume)
+    store = li.StoreOptions(out, {"title": TITLE}, "s")
     so3 = li.groups.so3
     top = li.systems.heavy_top(INERTIA, WEIGHT)
     step = li.schemes.nystrom(top, 6)
@@ -53,7 +54,7 @@ def main(
         return top.state(so3.multiply(so3.exp(turn), tilt), angular_velocity=jnp.array([0.0, 0.0, SPIN]) + change)
 
     noise = jax.random.normal(jax.random.key(seed), (members, 2, 3)).at[0].set(0.0)
-    run = li.run(step, jax.jit(jax.vmap(state))(noise), dt, steps, save_every=5, store=out, resume=resume)
+    run = li.run(step, jax.jit(jax.vmap(state))(noise), dt, steps, save_every=5, store=store, resume=resume)
     start = jax.tree.map(lambda x: x[0], run.member(0).state)
     closed, found = li.systems.lagrange_motion(top, start), li.measure.nutation(run)
     low, high = np.rad2deg(closed.inclination)
@@ -71,7 +72,6 @@ def main(
             changed=li.report.changes(run),
             remarks=["  closed form: elliptic integrals; the difference is the scheme's error, or round-off"],
             spread="attitude 1°, angular velocity 15°/s",
-            time_unit="s",
         )
     )
     if certificate:

@@ -125,9 +125,10 @@ def main(
             f"{PER_ORBIT} steps"
         )
     out, orbits = out or li.report.new_path("hyperion.zarr", resume), steps // PER_ORBIT
+    store = li.StoreOptions(out, {"title": TITLE}, "1/n")
     step, starts = planar_step_and_starts(members, angles, greatest_rate)
     dt, at_rest = 2 * np.pi / PER_ORBIT, starts._replace(work=jnp.zeros(members))
-    run = li.run(step, at_rest, dt, steps, save_every=PER_ORBIT, store=out, resume=resume)
+    run = li.run(step, at_rest, dt, steps, save_every=PER_ORBIT, store=store, resume=resume)
     planes = np.zeros((6, 2))
     planes[IN_PLANE, 0] = planes[OUT_OF_PLANE, 1] = 1
     measured = [exponents(step, starts, orbits, PER_ORBIT, planes)]
@@ -157,7 +158,7 @@ def main(
     lines += [f"\n{wrapped.fill(x)}" for x in NOTES]
     failed = sum(int((~np.asarray(x.info.converged)).sum()) for x in (*measured, *about))
     lines.append(f"\n  {failed} of these runs had a step that did not converge")
-    print(li.report.text(TITLE, run, changed=li.report.changes(run), remarks=lines, time_unit="1/n"))
+    print(li.report.text(TITLE, run, changed=li.report.changes(run), remarks=lines))
     if pictures:
         print("pictures:", *li.plots.save(draw(run, section, angles), out.with_name(f"{out.stem}-section.png")))
 

@@ -46,12 +46,13 @@ def main(
     """
     jax.config.update("jax_enable_x64", True)
     out = out or li.report.new_path("kirchhoff.zarr", resume)
+    store = li.StoreOptions(out, {"title": TITLE}, "s")
     body = li.systems.kirchhoff(semi_axes)
     step = li.schemes.group_midpoint(body, li.maps.exponential)
     noise = jax.random.normal(jax.random.key(seed), (members, 6)).at[0].set(0.0)
     velocities = jnp.array([0.0, 0.0, spin, 0.0, 0.0, speed]) + jnp.repeat(jnp.array(SPREAD), 3) * noise
     states = jax.jit(jax.vmap(lambda v: body.state(velocity=v)))(velocities)
-    run = li.run(step, states, 0.025, steps, save_every=20, store=out, resume=resume)
+    run = li.run(step, states, 0.025, steps, save_every=20, store=store, resume=resume)
     x, P = np.asarray(run.state.q[..., :3, 3]), np.asarray(run.state.p[0, :, 3:])
     along = np.einsum("mi,mi->m", x[-1] - x[0], P) / np.linalg.norm(P, axis=-1) / run.t[-1]
     tilt = np.rad2deg(li.measure.tilt(run))
@@ -65,9 +66,7 @@ def main(
         li.report.Change("Π·P and |P|², relative", casimirs, abs(casimirs[0]).max(axis=0)),
     ]
     spread = f"angular velocity {SPREAD[0]} rad/s, velocity {SPREAD[1]} m/s"
-    print(
-        li.report.text(TITLE, run, rows, changed=changed, remarks=remarks(run, semi_axes), spread=spread, time_unit="s")
-    )
+    print(li.report.text(TITLE, run, rows, changed=changed, remarks=remarks(run, semi_axes), spread=spread))
     if certificate:
         print(f"\n{li.report.certificate(run)}")
     if pictures:

@@ -58,6 +58,7 @@ def main(
     """
     jax.config.update("jax_enable_x64", True)
     out = out or li.report.new_path("kw4.zarr", resume)
+    store = li.StoreOptions(out, {"title": TITLE}, "s")
     attitudes = li.attitude.from_euler("ZXZ", np.deg2rad([[0.0, tilt, 0.0], [0.0, tilt, swing]]))
 
     def binary(noise):
@@ -82,7 +83,7 @@ def main(
 
     noise = jax.random.normal(jax.random.key(seed), (members, 2)).at[0].set(0.0)
     made, states = jax.jit(jax.vmap(binary))(noise)
-    run = li.run(made, states, DT, steps, save_every=4, own_step=True, store=out, resume=resume)
+    run = li.run(made, states, DT, steps, save_every=4, own_step=True, store=store, resume=resume)
     motion, parts = li.measure.relative_motion(run), li.measure.pair_energies(run)
     orbit, lines = li.measure.apsides(motion), li.measure.librations(motion)
     spins = [2 * np.pi / li.measure.mean_rate(motion.t, angle) / HOUR for angle in (motion.spin_1, motion.spin_2)]
@@ -124,7 +125,7 @@ def main(
         f"  {faces} of {members} members: one end of the secondary's x axis stays toward the primary",
         f"  {upright} of {members} members: its z axis stays within {UPRIGHT:g}° of the orbit's normal",
     ]
-    print(li.report.text(TITLE, run, rows, changed=changed, remarks=remarks, spread="each mass 12 %", time_unit="s"))
+    print(li.report.text(TITLE, run, rows, changed=changed, remarks=remarks, spread="each mass 12 %"))
     if certificate:
         print(f"\n{li.report.certificate(run)}")
     if pictures:

@@ -45,6 +45,7 @@ def main(
     """
     jax.config.update("jax_enable_x64", True)
     out = out or li.report.new_path("maclaurin.zarr", resume)
+    store = li.StoreOptions(out, {"title": TITLE}, "√(R³/GM)")
     liquid = li.systems.incompressible_body(np.full(3, 0.2), li.systems.self_gravity(1.0, 1.0, 1.0))
     step = li.schemes.compose(li.schemes.additive(liquid, "incompressible"), 4)
     e = np.linspace(first, last, members)
@@ -52,14 +53,14 @@ def main(
     axes = jnp.asarray(np.stack([a * (1 + bar), a / (1 + bar), a * np.sqrt(1 - e * e)], axis=1))
     spins = jnp.asarray(Omega)[:, None] * jnp.array([0.0, 0.0, 1.0])
     states = jax.jit(jax.vmap(lambda x, w: liquid.state(jnp.diag(x), angular_velocity=w)))(axes, spins)
-    run = li.run(step, states, 0.1, steps, save_every=5, store=out, resume=resume)
+    run = li.run(step, states, 0.1, steps, save_every=5, store=store, resume=resume)
     volume = np.linalg.det(np.asarray(run.state.q))
     K = np.asarray(run.map(lambda step, z: step.system.circulation(z)))
     circulation = li.report.Change("circulation, relative", K, np.linalg.norm(K[0], axis=-1, keepdims=True), "O(Δt²)")
     changed = [*li.report.changes(run), li.report.Change("volume, relative", volume), circulation]
     rates = measured_rates(run)
     remarks = table_of_rates(e, Omega, rates)
-    print(li.report.text(TITLE, run, changed=changed, remarks=remarks, time_unit="√(R³/GM)"))
+    print(li.report.text(TITLE, run, changed=changed, remarks=remarks))
     if certificate:
         print(f"\n{li.report.certificate(run)}")
     if pictures:

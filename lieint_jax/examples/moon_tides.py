@@ -50,6 +50,7 @@ def main(
     """
     jax.config.update("jax_enable_x64", True)
     out = out or li.report.new_path("moon_tides.zarr", resume)
+    store = li.StoreOptions(out, {"title": TITLE}, "d")
 
     def pair(noise):
         lags = jnp.array([lag / DAY, 0.0]) * jnp.exp(SPREAD * noise)
@@ -68,7 +69,7 @@ def main(
 
     noise = jax.random.normal(jax.random.key(seed), (members,)).at[0].set(0.0)
     made, states = jax.jit(jax.vmap(pair))(noise)
-    run = li.run(made, states, YEAR / 4000, steps, save_every=40, own_step=True, store=out, resume=resume)
+    run = li.run(made, states, YEAR / 4000, steps, save_every=40, own_step=True, store=store, resume=resume)
     q, p, spent = (np.asarray(x) for x in (run.state.q, run.state.p, run.state.work))
     distance, spins = np.linalg.norm(q[..., 1, :3] - q[..., 0, :3], axis=-1), p[..., 5] / MOMENTS
     orbital = np.cross(q[..., :3], p[..., :3])[..., 2].sum(axis=-1)
@@ -103,7 +104,7 @@ def main(
     least = -np.diff(spent, axis=0).max() / abs(spent[-1]).max()
     remarks = [f"  least loss between two saved states, over all of it: {least:.1e}"]
     spread = f"the lag {100 * SPREAD:g} %"
-    print(li.report.text(TITLE, run, rows, changed=changed, remarks=remarks, spread=spread, time_unit="d"))
+    print(li.report.text(TITLE, run, rows, changed=changed, remarks=remarks, spread=spread))
     if certificate:
         print(f"\n{li.report.certificate(run)}")
     if pictures:

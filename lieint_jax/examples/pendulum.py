@@ -44,6 +44,7 @@ def main(
     """
     jax.config.update("jax_enable_x64", True)
     out = out or li.report.new_path("pendulum.zarr", resume)
+    store = li.StoreOptions(out, {"title": TITLE}, "s")
     bob = li.systems.pendulum(MASS, GRAVITY, DOWN)
     step = li.schemes.compose(li.schemes.sphere_midpoint(bob), 6)
 
@@ -53,7 +54,7 @@ def main(
         return bob.state(q, velocity=v - q * (q @ v) / (q @ q))  # a velocity is tangent to the sphere
 
     noise = jax.random.normal(jax.random.key(seed), (members, 2, 3)).at[0].set(0.0)
-    run = li.run(step, jax.jit(jax.vmap(state))(noise), dt, steps, save_every=5, store=out, resume=resume)
+    run = li.run(step, jax.jit(jax.vmap(state))(noise), dt, steps, save_every=5, store=store, resume=resume)
     start = jax.tree.map(lambda x: x[0], run.member(0).state)
     # The pendulum is the axis of a top without spin; the inclination of the top is measured from the upward direction.
     closed, found = li.systems.lagrange_motion(*li.systems.pendulum_as_top(bob, start)), li.measure.nutation(run)
@@ -73,7 +74,6 @@ def main(
             changed=changed,
             remarks=["  closed form: elliptic integrals; γ is the direction of gravity"],
             spread="direction 1°, velocity 0.02 m/s",
-            time_unit="s",
         )
     )
     if certificate:

@@ -45,6 +45,7 @@ def main(
     """
     jax.config.update("jax_enable_x64", True)
     out = out or li.report.new_path("pluto_charon.zarr", resume)
+    store = li.StoreOptions(out, {"title": TITLE}, "d")
     lags = np.array([pluto_lag, charon_lag]) / DAY
     law, gravity = li.tides.constant_lag(G, MASSES, RADII, LOVE_NUMBERS, lags), li.potentials.point_masses(G, MASSES)
     bodies = li.systems.rigid_bodies(MASSES, np.tile(MOMENTS[:, None], 3), gravity, law)
@@ -55,7 +56,7 @@ def main(
         angular_velocities=2 * np.pi / PERIODS[:, None] * [0.0, 0.0, 1.0],
     )
     step = li.schemes.bodies_energy_momentum(bodies)
-    run = li.run(step, state, 0.02, steps, save_every=10_000, store=out, resume=resume)
+    run = li.run(step, state, 0.02, steps, save_every=10_000, store=store, resume=resume)
     q, p, spent = (np.asarray(x) for x in (run.state.q, run.state.p, run.state.work))
     distance, spins = np.linalg.norm(q[:, 1, :3] - q[:, 0, :3], axis=-1), p[..., 5] / MOMENTS
     orbital = np.cross(q[..., :3], p[..., :3])[..., 2].sum(axis=-1)
@@ -82,7 +83,7 @@ def main(
     ]
     least = -np.diff(spent).max() / abs(spent[-1])
     remarks = [f"  least loss between two saved states, over all of it: {least:.1e}"]
-    print(li.report.text(TITLE, run, rows, changed=changed, remarks=remarks, time_unit="d"))
+    print(li.report.text(TITLE, run, rows, changed=changed, remarks=remarks))
     if certificate:
         print(f"\n{li.report.certificate(run)}")
     if pictures:

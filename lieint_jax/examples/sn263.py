@@ -63,6 +63,7 @@ def main(
     """
     jax.config.update("jax_enable_x64", True)
     out = out or li.report.new_path("sn263.zarr", resume)
+    store = li.StoreOptions(out, {"title": TITLE}, "s")
 
     def triple(noise):
         masses = jnp.asarray(MASSES) * (1 + SPREAD * noise * jnp.array([1.0, 0.0, 0.0]))
@@ -77,7 +78,7 @@ def main(
 
     noise = jax.random.normal(jax.random.key(seed), (members,)).at[0].set(0.0)
     made, states = jax.jit(jax.vmap(triple))(noise)
-    run = li.run(made, states, 1200.0, steps, save_every=2, own_step=True, store=out, resume=resume)
+    run = li.run(made, states, 1200.0, steps, save_every=2, own_step=True, store=store, resume=resume)
     rows, distances = [], li.measure.distances(run)
     for (i, j), x in zip(itertools.combinations(NAMES, 2), np.moveaxis(distances, -1, 0), strict=True):
         rows += [row(f"{i}–{j}: least distance (m)", x.min(axis=0)), row("  greatest (m)", x.max(axis=0))]
@@ -93,7 +94,7 @@ def main(
     for k, name in enumerate(NAMES):
         rows.append(row(f"{name}: rotation period, mean rate (h)", periods[k], ROTATIONS.get(k, ())))
     remarks = [f"  periods: mean rates of longitudes about L over {run.t[-1] / DAY:.4g} d, by least squares"]
-    about = {"changed": changes(run), "remarks": remarks, "spread": "Alpha's mass 0.24 %", "time_unit": "s"}
+    about = {"changed": changes(run), "remarks": remarks, "spread": "Alpha's mass 0.24 %"}
     print(li.report.text(TITLE, run, rows, **about))
     if certificate:
         print(f"\n{li.report.certificate(run)}")

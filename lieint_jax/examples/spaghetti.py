@@ -50,6 +50,7 @@ def main(
     """
     jax.config.update("jax_enable_x64", True)
     out = out or li.report.new_path("spaghetti.zarr", resume)
+    store = li.StoreOptions(out, {"title": TITLE}, "time unit")
 
     def member(noise):
         stiffness, moment = (
@@ -68,7 +69,7 @@ def main(
 
     noise = jax.random.normal(jax.random.key(seed), (members, 2, 3)).at[0].set(0.0)
     rods, states = jax.jit(jax.vmap(member))(noise)
-    run = li.run(rods, states, dt, steps, save_every=2, own_step=True, store=out, resume=resume)
+    run = li.run(rods, states, dt, steps, save_every=2, own_step=True, store=store, resume=resume)
     t, work = np.asarray(run.t), np.asarray(run.state.work)
     H = np.asarray(run.map(lambda step, z: step.system.energy(z)))
     momentum = np.asarray(run.map(lambda step, z: step.system.conservative.momentum(z)))
@@ -90,7 +91,7 @@ def main(
         rows.append(li.report.Row("|P| at the end; impulse of the loads", end_P, closed_form=impulse))
         rows.append(li.report.Row("|L| at the end", end_L))
     spread = ", ".join(f"{name} {100 * sigma:g} %" for name, sigma in SPREAD.items())
-    print(li.report.text(TITLE, run, rows, changed=changed, spread=spread, time_unit="time unit"))
+    print(li.report.text(TITLE, run, rows, changed=changed, spread=spread))
     if pictures:
         drawn = li.plots.save(draw_shape(run), out.with_name(f"{out.stem}-shape.png"))
         print("pictures:", *drawn, *li.plots.save(draw_energy(t, H, work), out.with_name(f"{out.stem}-energy.png")))

@@ -13,6 +13,7 @@ import numpy as np
 
 import lieint_jax as li
 
+TITLE = "4179 Toutatis, a tumbling asteroid"
 ZHAO = "Zhao et al. 2015, arXiv 1504.02024"
 TAKAHASHI = "Takahashi, Busch & Scheeres 2013, AJ 146:95"
 INERTIA = (3.0836, 3.235, 1.0)  # principal moments over that of the long axis, z [TAKAHASHI]
@@ -60,6 +61,7 @@ def main(
     """
     jax.config.update("jax_enable_x64", True)
     out = out or li.report.new_path("toutatis.zarr", resume)
+    store = li.StoreOptions(out, {"title": TITLE}, "d")
     body = li.systems.rigid_body(INERTIA)
     step = li.schemes.so3_midpoint(body, li.maps.kappa_symplectic)
     angles, rate = np.deg2rad(START[start])
@@ -71,7 +73,7 @@ def main(
         return body.state(attitude, angular_velocity=rate + change)
 
     states = jax.jit(jax.vmap(state))(noise.at[0].set(0.0))
-    run = li.run(step, states, DT, steps, save_every=SAVE_EVERY, store=out, resume=resume)
+    run = li.run(step, states, DT, steps, save_every=SAVE_EVERY, store=store, resume=resume)
     values = [*li.measure.periods(run)[:2], *(np.rad2deg(angle[0]) for angle in li.measure.pole(run))]
     rows = [
         li.report.Row(name, x, published, angle="(°)" in name)
@@ -80,12 +82,11 @@ def main(
     seen = len(run.t) > RADAR_SAVE
     print(
         li.report.text(
-            "4179 Toutatis, a tumbling asteroid",
+            TITLE,
             run,
             rows,
             remarks=radar_remarks(run) if seen else (),
             spread="attitude {:g}°, angular velocity {:g}°/d".format(*SPREAD),
-            time_unit="d",
         )
     )
     if certificate:

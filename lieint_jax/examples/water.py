@@ -50,13 +50,14 @@ def main(
     """
     jax.config.update("jax_enable_x64", True)
     out, title = out or li.report.new_path("water.zarr", resume), TITLE.format(molecules)
+    store = li.StoreOptions(out, {"title": title}, "ps")
     molecule = li.potentials.water(model)
     inertias = np.tile(molecule.inertia, (molecules, 1))
     droplet = li.systems.rigid_bodies(np.full(molecules, molecule.mass), inertias, molecule.potential(molecules))
     step = li.schemes.nystrom(droplet, 4) if scheme == "nystrom" else getattr(li.schemes, scheme)(droplet)
     keys = jax.random.split(jax.random.key(seed), members)
     states = jax.jit(jax.vmap(lambda key: settled_state(droplet, key)))(keys)
-    run = li.run(step, states, DT, steps, save_every=20, store=out, resume=resume)
+    run = li.run(step, states, DT, steps, save_every=20, store=store, resume=resume)
     K, T = (np.asarray(run.map(f)) for f in (lambda step, z: step.system.kinetic_energy(z), temperature))
     energy, momentum = li.report.changes(run)
     x, p = (np.asarray(y)[..., :3] for y in (run.state.q, run.state.p))
@@ -73,7 +74,7 @@ def main(
         li.report.Row("first peak of the O–O distances (nm); published, liquid", density.peak, PUBLISHED),
     ]
     remarks = [f"  the temperature fluctuates by {later.std():.1f} K"]
-    print(li.report.text(title, run, rows, changed=changed, remarks=remarks, time_unit="ps"))
+    print(li.report.text(title, run, rows, changed=changed, remarks=remarks))
     if certificate:
         print(f"\n{li.report.certificate(run)}")
     if pictures:
