@@ -41,8 +41,15 @@ def _member(room, name):
     found = getattr(room, name)
     if inspect.isclass(found) and found.__name__ != name:
         heading = f"    options:\n      heading: {name}\n      toc_label: {name}"
-        return f'<a id="{name}"></a>\n\n::: {room.__name__}.{found.__name__}\n{heading}'
+        return f'<a id="{name}"></a>\n\n::: {_path(room, name)}\n{heading}'
     return f'<a id="{name}"></a>\n\n::: {room.__name__}.{name}'
+
+
+def _path(room, name):
+    """The path by which mkdocstrings finds a name: of a class with a name that is called, that of the class."""
+    found = getattr(room, name)
+    own = found.__name__ if inspect.isclass(found) else name
+    return f"{room.__name__}.{own}" if own in _public(room) else f"{found.__module__}.{own}"
 
 
 def _is_called(room, name):
@@ -62,10 +69,6 @@ def on_post_build(config):
     listed = {line.split(" ")[0] for line in zlib.decompress(inventory).decode().splitlines()}
     face = importlib.import_module("lieint_jax")
     rooms = {f"lieint_jax.{x}": getattr(face, x) for x in face.__all__ if inspect.ismodule(getattr(face, x))}
-    wanted = {
-        f"{name}.{getattr(room, x).__name__ if inspect.isclass(getattr(room, x)) else x}"
-        for name, room in {"lieint_jax": face, **rooms}.items()
-        for x in _public(room)
-    }
+    wanted = {_path(room, x) for room in (face, *rooms.values()) for x in _public(room)}
     if missing := sorted(wanted - listed):
         raise PluginError(f"objects.inv lacks {', '.join(missing)}")
