@@ -153,7 +153,8 @@ def draw_invariants(run):
     sigma = jax.jit(lambda z: li.diagnostics.poisson_error(one.step, z, DT, n))(state)
     size = np.linalg.norm(jax.vmap(li.groups.so3.vee)(sigma), axis=1)
     li.plots.log_error(axes[1], DT * np.arange(len(size)), {"": size}, "Poisson error |σ|", "d")
-    x, y, _ = np.asarray(jax.vmap(body.body_momentum)(one.at(np.linspace(0.0, 60.0, 4000))).T) / np.linalg.norm(state.p)
+    times = np.linspace(0.0, min(60.0, t[-1]), 4000)
+    x, y, _ = np.asarray(jax.vmap(body.body_momentum)(one.at(times)).T) / np.linalg.norm(state.p)
     axes[2].plot(x, y, lw=0.8, color=li.plots.BLUE)
     axes[2].set(aspect="equal", xlabel="Π₁ / |Π|", ylabel="Π₂ / |Π|", title="polhode, seen along the long axis")
     return fig

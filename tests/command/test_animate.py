@@ -228,7 +228,7 @@ def test_an_animated_page_needs_no_other_file(store, tmp_path):
         (["--out", "turn.avi"], "an animation is written as .gif, .mp4, .html, got turn.avi"),
         (["--out", "nowhere/turn.gif"], "the folder nowhere does not exist"),
         (["--out", "turn.gif", "--member", "2"], "the run has members 0 to 1, got --member 2"),
-        (["--out", "turn.gif", "--seconds", "-1"], "--seconds must be positive, got -1"),
+        (["--out", "turn.gif", "--seconds", "-1"], "the duration in seconds must be positive, got -1"),
         (["--fps", "1000000"], "6 seconds of 1000000 frames are 6000000 frames, the most are 5000"),
         (
             ["--out", "turn.gif", "--from", "3", "--to", "9"],

@@ -15,7 +15,6 @@ from kept_values import KEPT, assert_lines_are_kept, is_same
 
 import lieint_jax as li
 from lieint_jax import examples
-from lieint_jax.examples import spaghetti
 
 NAMES = sorted(module.name for module in pkgutil.iter_modules(examples.__path__))
 ARGUMENTS = {  # of the runs whose values were kept: the script and its options
@@ -25,7 +24,6 @@ ARGUMENTS = {  # of the runs whose values were kept: the script and its options
     "material": ("material", "--observations", "20"),
     "sensitivity": ("sensitivity", "--steps", "4000"),
 }
-OWN = {"spaghetti": {"lieint_jax.examples.spaghetti.load": spaghetti.load}}  # laws of a script, to open its store
 FEW = {"pluto_charon": 1, "driven": 1}  # members; further ones of `driven` move chaotically
 NUMBER = r"([-−]?\d+(?:\.\d+)?(?:e[-+]\d+)?)(?=  | ±| +[-−]?\d|$)"  # the first one of a row
 ROW = re.compile(rf"^  (  )?(?!published: )(\S.*?)(?:  +| +(?=[-−]?\d+\.\d{{4}})){NUMBER}")
@@ -104,4 +102,4 @@ def test_nominal_values_are_those_that_were_kept(kept, tmp_path):
         assert is_same(found.get(row, "nan"), wanted[row]), f"{row}, kept as {wanted[row]}, in\n{done.stdout}"
     assert_lines_are_kept(kept, done.stdout)
     if (store := tmp_path / f"{name}.zarr").exists():  # a study has none
-        assert np.all(li.open(store, OWN.get(name)).converged)
+        assert np.all(li.open(store).converged)

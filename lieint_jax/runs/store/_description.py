@@ -9,6 +9,7 @@ from __future__ import annotations
 import dataclasses
 import importlib
 import math
+import sys
 from collections.abc import Callable, Mapping, Set
 from types import ModuleType
 from typing import Any
@@ -116,7 +117,10 @@ def _name(x: object) -> str:
     name = getattr(x, "__qualname__", "")
     room = ".".join(x.__module__.split(".")[:2])
     public = _is_ours(x) and getattr(_import_own(room), name, None) is x
-    return f"{room if public else x.__module__}.{name}"
+    module = x.__module__
+    if module == "__main__" and (spec := getattr(sys.modules[module], "__spec__", None)):
+        module = spec.name  # of a script that `python -m` runs
+    return f"{room if public else module}.{name}"
 
 
 def _find_object(name: str, own: Mapping[str, object]) -> Any:
