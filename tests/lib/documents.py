@@ -25,6 +25,7 @@ class Word(str):
 
 
 def words(text):
-    """The words of a text; how many digits a certificate counts depends on rounding, so they are left out."""
+    """The words of a text; how many digits a certificate counts, or whether all, depends on rounding: left out."""
+    text = re.sub(r"reversible (bit for bit|to round-off, [\d.]+ digits)", "reversible", text)
     text = re.sub(r"[\d.]+ digits", "digits", text)
     return [Word(word) for word in re.findall(r"[-+]?\d[\d.]*(?:e[-+]?\d+)?|[^\s\d]+", text)]

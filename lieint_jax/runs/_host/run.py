@@ -116,10 +116,12 @@ class Run(Generic[Saved, Reduced]):
         facts = Facts(batch, own_step, None, steps, None, "", (), epoch=text, time_unit=time_unit)
         return Run(step, None, trajectory, None, failed, None, None, None, facts)
 
-    def __getattr__(self, name: str) -> Any:
-        """Called for what a run does not have: the error names what it has instead."""
-        way = _INSTEAD.get(name)
-        raise AttributeError(f"a Run has no {name!r}" + (f": see {way}" if way else ""), name=name, obj=self)
+    if not TYPE_CHECKING:  # a type checker finds a wrong name by itself
+
+        def __getattr__(self, name: str) -> Any:
+            """Called for what a run does not have: the error names what it has instead."""
+            way = _INSTEAD.get(name)
+            raise AttributeError(f"a Run has no {name!r}" + (f": see {way}" if way else ""), name=name, obj=self)
 
     @property
     def t(self) -> Array:
