@@ -291,7 +291,7 @@ def mesh(vertices: ArrayLike, faces: Any, *, mass: ArrayLike | None = None, dens
     """
     at, triangles = closed_surface(vertices, faces)
     if concrete(at):
-        most, largest = largest_coordinate(at.dtype), float(jnp.max(jnp.abs(at), initial=0))
+        most, largest = largest_coordinate(at.dtype), float(np.abs(np.asarray(at)).max(initial=0))
         if largest > most:
             raise ValueError(
                 f"coordinates must be at most {most:.2g}, beyond which moments of inertia overflow, got {largest:.3g}: "
