@@ -75,9 +75,8 @@ def estimate(
         ok = (difference >= 2.0 ** (order - 1) * second[name]) | (difference < _FLOOR)
         reliable &= ok.reshape(*reliable.shape, -1).all(axis=-1)
     values = {name: x / factor for name, x in first.items()}
-    return RunError(
-        t, members, *(values.get(name) for name in ("attitude", "position", "q")), values["p"], reliable, order
-    )
+    attitude, position, q = (values.get(name) for name in ("attitude", "position", "q"))
+    return RunError(t, members, attitude, position, q, values["p"], reliable, order)
 
 
 def _differences(a: State, b: State, axes: int) -> dict[str, np.ndarray]:

@@ -340,7 +340,8 @@ class Run(Generic[Saved, Reduced]):
             ValueError: the run has given times or output times, or no states.
         """
         facts, count = self.facts, _checks.count("members", members, 1)
-        if facts.dt is None or facts.save_every is None:
+        dt, every = facts.dt, facts.save_every
+        if dt is None or every is None:
             raise ValueError("the error is measured by half the step size, and this run has given times")
         chosen = None
         if self.members is not None:
@@ -348,10 +349,10 @@ class Run(Generic[Saved, Reduced]):
         saved = jax.tree.map(lambda x: np.asarray(x if chosen is None else x[:, chosen]), self.state)
         step = self.step if not self.own_step else jax.tree.map(lambda x: np.asarray(x)[chosen], self.step)
         start = jax.tree.map(lambda x: x[0], saved)
-        start, steps = start if facts.batch else with_member_axis(start), (len(self.t) - 1) * facts.save_every
+        start, steps = start if facts.batch else with_member_axis(start), (len(self.t) - 1) * every
 
         def finer(parts: int) -> State:
-            sizes = {"dt": facts.dt / parts, "num_steps": parts * steps, "save_every": parts * facts.save_every}
+            sizes = {"dt": dt / parts, "num_steps": parts * steps, "save_every": parts * every}
             return run_of_saves(*compute(step, start, **self._options | sizes, progress=False)).state
 
         return estimate(np.asarray(self.t), chosen, self.step.order, saved, finer(2), finer(4))
