@@ -151,3 +151,21 @@ def test_masses_that_were_made_inside_jit_are_checked_where_a_run_begins():
     step, state = jax.jit(pair)(jnp.array([1.0, -1.0]))
     with pytest.raises(ValueError, match="masses must be positive, got"):
         li.run(step, state, 0.1, 4, **QUIET)
+
+
+def test_a_metric_of_rotations_and_translations_in_distant_units_is_no_negative_one():
+    """Positive definite at any unit: its least eigenvalue, 1e-18, is below the rounding of the largest, 1e11."""
+    A = np.random.default_rng(0).normal(size=(6, 6))
+    unit = np.array([1e-9] * 3 + [1e5] * 3)
+    metric = (A @ A.T + 6 * np.eye(6)) * unit * unit[:, None]
+    assert np.linalg.eigvalsh(metric)[0] < 0
+    body = li.systems.euler(li.groups.special_euclidean(3), metric)
+    step = li.schemes.group_midpoint(body)
+    run = li.run(step, body.state(velocity=jnp.array([0.1, 0.2, 0.3, 0.0, 0.0, 0.0])), 0.05, 4, **QUIET)
+    assert np.isfinite(run.state.p).all()
+    wrong = li.systems.euler(body.group, np.eye(6))
+    step = jax.jit(lambda sign: li.schemes.group_midpoint(li.systems.euler(wrong.group, sign * jnp.asarray(metric))))(
+        -1.0
+    )
+    with pytest.raises(ValueError, match="metric must be positive definite"):
+        li.run(step, wrong.state(velocity=jnp.ones(6)), 0.05, 4, **QUIET)

@@ -67,7 +67,7 @@ def test_what_rounding_hides_is_no_success(optimizer):
     """At 1 : 1e11 the misfit of 1e8 rounds the step by a tenth of the soft parameters."""
     found = li.fit(residuals(1e11, 1e-3), GUESS, optimizer, progress=False)
     assert not found.success
-    assert optimizer == "gauss_newton" or "the next step still moves" in found.message  # or it wanders
+    assert optimizer == "gauss_newton" or "the next step still moves" in found.message  # or its search ends
 
 
 @pytest.mark.long

@@ -69,7 +69,11 @@ def check_inertias(step: Step, own_step: bool) -> None:
         tensors = x.ndim - own_step > ndim  # else principal values
         if tensors and not (x.shape[-2:] == (x.shape[-1],) * 2 and np.allclose(x, np.swapaxes(x, -1, -2), rtol=1e-6)):
             continue  # the values of members, whose axis is refused later
-        least = np.linalg.eigvalsh(x)[..., 0] if tensors and np.isfinite(x).all() else x
+        least = x
+        if tensors and np.isfinite(x).all():  # in units of the diagonal, for a metric of rotations and translations
+            unit = np.sqrt(np.abs(np.diagonal(x, axis1=-2, axis2=-1)))
+            unit = np.where(unit > 0, unit, 1.0)
+            least = np.linalg.eigvalsh(x / unit[..., None] / unit[..., None, :])[..., 0]
         bad = ~(least.reshape(len(x) if own_step else 1, -1) > 0).all(axis=1)
         if bad.any():
             who = f" of member {int(bad.argmax())}" if own_step else ""
