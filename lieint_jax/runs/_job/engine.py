@@ -75,10 +75,10 @@ class Engine:
 
     @cached_property
     def _known(self) -> tuple[str, int]:
-        """What `MemberLoop.known` has of this engine; nothing refuses a run by XLA or of no steps."""
+        """What `Learned.engines` has of this engine; nothing refuses a run by XLA or of no steps."""
         if self.name == "xla" or not self.job.num_steps:
             return "", 0
-        known = self._loop.known
+        known = self._loop.learned.engines
         if self.name not in known:
             known[self.name] = self._examined()
         return known[self.name]
@@ -124,21 +124,21 @@ class Engine:
         of_time = 0 if job.own_times else None
         axes = job.step_axis, jax.tree.map(lambda _: 0, at_start)._replace(t=of_time), None
         with computed_by(self.name, self._threads):
-            if made.equations is None:
+            if made.learned.equations is None:
                 given, programs = Given(plain, None, t0, job.clock, None), []
                 if self.prepares:
                     step, program = _with_constants(examples, axes)
                     given, programs = given._replace(step=step, plain=plain), [program]
                 interval = made.traced(*loop.shapes_of_interval(state, job.rests is not None), given)
-                made.equations = digest_or_reason(*programs, interval)
-            found: dict[str, str | None] = {"equations of the step": made.equations}
+                made.learned.equations = digest_or_reason(*programs, interval)
+            found: dict[str, str | None] = {"equations of the step": made.learned.equations}
             for name, f in {"equations of reduce": job.reduction, "equations of first": job.condition}.items():
                 read = reads(f, jax.tree.structure(examples))
                 found[name] = f and native.make_once(_equations_of, f, (self.prepares, axes), examples, read)
             return found
 
     def _examined(self) -> tuple[str, int]:
-        """What `MemberLoop.known` has of this engine."""
+        """What `Learned.engines` has of this engine."""
         arguments = self._first_step()
         blocks = [slice(0, 1), slice(1, 2)] if self.job.members == 1 else [slice(None)]  # one member has its own code
         parts = [self._members(arguments, block) for block in blocks]

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import weakref
 from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass
 from platform import machine
 from typing import Any, NamedTuple
 
@@ -218,6 +220,25 @@ def of_members(function: Reduction | None, axes: Axes) -> Callable[[Given, State
     return rereading_jit(jax.vmap(by_one_step, (axes, 0, None)), compiler_options=compiler_options())
 
 
+@dataclass
+class Learned:
+    """What engines have found out of a loop.
+
+    Attributes:
+        engines: by their names, why they cannot compute it ("" if they can), and about how many numbers of a step the
+            members then share.
+        equations: the digest of its equations.
+    """
+
+    engines: dict[str, tuple[str, int]]
+    equations: str | None = None
+
+
+# Beside the loops, not their attributes: a program is made again where what its function reads has changed, and the
+# interval that a loop compiles reads the loop.
+_learned: weakref.WeakKeyDictionary[MemberLoop, Learned] = weakref.WeakKeyDictionary()
+
+
 class MemberLoop:
     """The loop over the save intervals of all members.
 
@@ -231,9 +252,6 @@ class MemberLoop:
 
     Attributes:
         of_all: (carry, given, spans, number of spans) ↦ (carry, saved), compiled.
-        known: by the names of engines, why they cannot compute it ("" if they can), and about how many numbers of a
-            step the members then share.
-        equations: what an engine that computes it has found to be the digest of its equations.
     """
 
     def __init__(self, what: tuple[Reduction | None, Reduction | None], axes: Axes, _: Sequence[Tree]):
@@ -241,8 +259,12 @@ class MemberLoop:
         self._axes = axes
         self._of_member = jax.jit(self._interval)
         self.of_all = jax.jit(jax.vmap(self._loop, (*axes, None, None), (0, 1)), compiler_options=compiler_options())
-        self.known: dict[str, tuple[str, int]] = {}
-        self.equations: str | None = None
+        _learned[self] = Learned({})
+
+    @property
+    def learned(self) -> Learned:
+        """What engines have found out of it."""
+        return _learned[self]
 
     def _loop(self, carry: Carry, given: Given, spans: Span, count: Array) -> tuple[Carry, Tree]:
         return native.march(self._of_member, carry, spans, (given,), rows=count, most=len(spans.first))
