@@ -86,7 +86,6 @@ def ours(step: Any, states: Any, dt: float, num_steps: int, devices: int = 1) ->
     import numpy as np
 
     from lieint_jax.runs import UniformClock, first_devices
-    from lieint_jax.runs._job.devices import layout_of
     from lieint_jax.runs._job.engine import engine_of
     from lieint_jax.runs._job.job import Job
 
@@ -96,8 +95,7 @@ def ours(step: Any, states: Any, dt: float, num_steps: int, devices: int = 1) ->
     job = Job(step, states, None, dt, clock, num_steps, nodes * dt, nodes, None, num_steps, None, None)
     mesh = first_devices(None)
     engine = engine_of(job, mesh, devices)
-    layout = layout_of(mesh, len(states.p))
-    given, start = engine.start(layout)
+    given, start = engine.start(mesh)
 
     def call() -> Any:
         return engine.run_intervals(given, start, 0, 0, nodes[1:], rows=1)[0]

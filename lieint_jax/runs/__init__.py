@@ -1,7 +1,7 @@
 """A step and states make a run: of one body or many, in memory or on disk, with events and output at any times.
 
 `integrate` is for the inside of jit, vmap and grad; `run` for results that are kept. `store` reads and writes runs on
-disk, and `processes` are those of a run on several machines.
+disk.
 """
 
 from lieint_jax.runs import store
@@ -16,8 +16,7 @@ from lieint_jax.runs._adjoints.transition import Ellipse, Transition, transition
 from lieint_jax.runs._host.make_run import open_run, run
 from lieint_jax.runs._host.memory import peak_memory
 from lieint_jax.runs._host.run import Run
-from lieint_jax.runs._host.submit import Executor, submit
-from lieint_jax.runs._job import processes
+from lieint_jax.runs._host.submit import Executor, LostWorkerError, PermanentError, submit
 from lieint_jax.runs._job.devices import count_cores, first_devices, want_devices
 from lieint_jax.runs._job.job import Summary
 from lieint_jax.runs._job.loop import Reduction, compiler_options
@@ -56,7 +55,9 @@ __all__ = [
     "Ellipse",
     "Event",
     "Executor",
+    "LostWorkerError",
     "MakeStates",
+    "PermanentError",
     "RecursiveCheckpointAdjoint",
     "Reduction",
     "ReversibleAdjoint",
@@ -84,7 +85,6 @@ __all__ = [
     "part_of_task",
     "peak_memory",
     "prepared",
-    "processes",
     "reported",
     "reversible",
     "round_trip_error",

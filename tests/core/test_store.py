@@ -31,8 +31,6 @@ from stores import Crash, assert_same, disk_for
 
 import lieint_jax as li
 from lieint_jax.runs import store as archives
-from lieint_jax.runs._job import devices as _devices
-from lieint_jax.runs.store import _identity
 
 pytestmark = pytest.mark.long
 
@@ -530,57 +528,11 @@ def test_a_quantity_that_is_nan_is_nan_in_all_of_its_interval_and_refused_at_the
 
 
 @pytest.mark.quick
-def test_processes_that_are_about_to_do_different_runs_all_say_so(monkeypatch):
-    """Two processes, of which the second is given other members at another step size."""
-    mine = {"members": 40, "dt": 0.1, "scenario": {"seed": 1}, "store": "a.zarr"}
-    monkeypatch.setattr(_devices, "count_processes", lambda mesh: 2)
-    for other, sentence in (({}, None), ({"members": 39, "dt": 0.2}, "members, dt"), ({"store": None}, "store")):
-        rows: list = []
-        monkeypatch.setattr(
-            _devices, "all_gather", lambda mesh, row, rows=rows: rows.append(row) or np.array([row] * 2)
-        )
-        _identity.check_processes(None, mine)
-        _identity.check_processes(None, mine | other)
-        monkeypatch.setattr(_devices, "all_gather", lambda mesh, row, rows=rows: np.array(rows))
-        for process in (mine, mine | other) if sentence else ():
-            with pytest.raises(ValueError, match=f"different runs: they differ in {sentence}. Nothing was integrated"):
-                _identity.check_processes(None, process)
-
-
-@pytest.mark.quick
-def test_an_error_of_one_process_ends_all(monkeypatch):
-    monkeypatch.setattr(_devices, "all_gather", lambda mesh, failed: np.array([[True], failed]))
-    with pytest.raises(ValueError, match="process 0 of this run has failed; see its own error message"):
-        _devices.fail_together(None, lambda: 1)
-
-
-@pytest.mark.quick
 def test_two_runs_do_not_write_to_one_store(tmp_path, small_chunks):
     run(tmp_path / "run.zarr")
     lock = archives.open_storage(tmp_path / "run.zarr").lock("parts/0")
     with lock, pytest.raises(BlockingIOError, match="another run is writing"):
         run(tmp_path / "run.zarr", resume=True)
-
-
-@pytest.mark.quick
-@pytest.mark.slow
-@pytest.mark.parametrize("step", range(3), ids=["check", "lock", "open"])
-def test_a_run_releases_its_store_where_another_process_fails(tmp_path, monkeypatch, step):
-    """Another process reports a failure after one of the steps that processes take together to resume a store."""
-    path, steps, fail_together = tmp_path / "run.zarr", itertools.count(), _devices.fail_together
-    run(path, num_steps=5)
-
-    def another_fails(mesh, action):
-        result = fail_together(mesh, action)
-        if next(steps) == step:
-            raise ValueError("process 1 of this run has failed")
-        return result
-
-    with monkeypatch.context() as patch:
-        patch.setattr(_devices, "fail_together", another_fails)
-        with pytest.raises(ValueError, match="process 1 of this run has failed"):
-            run(path, num_steps=5, resume=True)
-    assert run(path, num_steps=5, resume=True).info.converged[...].all()
 
 
 @contextlib.contextmanager

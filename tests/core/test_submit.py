@@ -18,7 +18,7 @@ import pytest
 from stores import assert_same
 
 import lieint_jax as li
-from lieint_jax.runs import processes
+from lieint_jax.runs import LostWorkerError, PermanentError
 from lieint_jax.runs import store as archives
 
 BODY = li.systems.rigid_body([1.0, 2.0, 3.0])
@@ -97,16 +97,14 @@ def test_a_worker_compiles_for_its_first_part_only_and_failures_are_reported(tmp
 
 def test_an_error_that_stays_is_not_repeated_and_ends_the_run(tmp_path):
     engine = Engine(retries=5)
-    with pytest.raises(
-        processes.PermanentError, match=r"part 0 of 3: the first step fails for 4 member\(s\): 0, 1, 2, 3"
-    ):
+    with pytest.raises(PermanentError, match=r"part 0 of 3: the first step fails for 4 member\(s\): 0, 1, 2, 3"):
         submit(tmp_path / "run.zarr", engine, dt=100.0)
     assert engine.calls == [0, 1, 2]
     for mistake, name in ((lambda n: n.lost, "AttributeError"), (lambda n: __import__("gone"), "ModuleNotFoundError")):
-        with pytest.raises(processes.PermanentError, match=f"part 0 of 3: {name}: .*(lost|gone)"):
+        with pytest.raises(PermanentError, match=f"part 0 of 3: {name}: .*(lost|gone)"):
             submit(tmp_path / "mistake.zarr", Engine(), states=mistake, members=12)
     for arguments, message in ((dict(parts=13), "at most 12 part"), (dict(save_every=7), "multiple of save_every")):
-        with pytest.raises(processes.PermanentError, match=message):
+        with pytest.raises(PermanentError, match=message):
             submit(tmp_path / "other.zarr", Engine(), **arguments)
 
 
@@ -138,7 +136,7 @@ def test_lost_workers_are_replaced_by_the_engine_or_named_and_the_same_call_comp
     whole = li.run(STEP, made, members=12, **OPTIONS)
     engine = Engine(retries=1, lost=[1, 2, 2])
     options = dict(states=made, members=12)
-    with pytest.raises(processes.LostProcess, match=r"1 of 3 .* Part 2: ConnectionError: the worker is gone\. What"):
+    with pytest.raises(LostWorkerError, match=r"1 of 3 .* Part 2: ConnectionError: the worker is gone\. What"):
         submit(tmp_path / "run.zarr", engine, **options)
     assert engine.calls == [0, 1, 1, 2, 2]
     assert_same(submit(tmp_path / "run.zarr", Engine(), **options).state, whole.state)
@@ -151,7 +149,7 @@ def test_a_pool_that_breaks_while_parts_are_submitted_is_a_lost_worker_and_other
                 raise BrokenExecutor("a worker was killed")
             return super().submit(task, k, parts)
 
-    with pytest.raises(processes.LostProcess, match=r"1 of 3 .* Part 1: BrokenExecutor: a worker"):
+    with pytest.raises(LostWorkerError, match=r"1 of 3 .* Part 1: BrokenExecutor: a worker"):
         submit(tmp_path / "run.zarr", Breaking())
     begun = []
     assert_same(submit(tmp_path / "run.zarr", Engine()).state, li.run(STEP, STATES, **OPTIONS).state)
@@ -178,7 +176,7 @@ def test_an_interrupt_states_what_is_complete_and_the_same_call_computes_the_res
 def test_a_part_that_another_process_writes_may_be_repeated(tmp_path):
     submit(tmp_path / "run.zarr", Engine())
     lock = archives.open_storage(tmp_path / "run.zarr").lock("parts/1")
-    with lock, pytest.raises(processes.LostProcess, match="Part 1: BlockingIOError: another run is writing"):
+    with lock, pytest.raises(LostWorkerError, match="Part 1: BlockingIOError: another run is writing"):
         submit(tmp_path / "run.zarr", Engine())
 
 
@@ -267,7 +265,7 @@ def test_a_worker_of_dask_is_killed(tmp_path):
         found = submit(path, client.get_executor(), **LONG)
         killing.join()
         assert [worker.pid for worker in cluster.workers.values()] != before
-        with pytest.raises(processes.PermanentError, match=r"dt is 0\.1 in the store and 0.2 here"):
+        with pytest.raises(PermanentError, match=r"dt is 0\.1 in the store and 0.2 here"):
             submit(path, client.get_executor(retries=5), **LONG | {"dt": 0.2})
     assert_same(found.state, whole_of_long().state)
 
@@ -280,7 +278,7 @@ def test_a_worker_of_loky_is_killed(tmp_path):
     pool = loky.get_reusable_executor(max_workers=2)
     pool.submit(int).result()
     killing = kill_one(path, lambda: list(pool._processes))
-    with pytest.raises(processes.LostProcess, match="TerminatedWorkerError"):
+    with pytest.raises(LostWorkerError, match="TerminatedWorkerError"):
         submit(path, pool, **LONG)
     killing.join()
     pool = loky.get_reusable_executor(max_workers=2)

@@ -13,25 +13,22 @@ from pathlib import Path
 from types import FrameType
 from typing import Any, Literal, Self
 
-import jax
 import numpy as np
 from jax.sharding import Mesh
 
 from lieint_jax import _checks
-from lieint_jax.runs._job import devices, processes
-from lieint_jax.runs._job.devices import Layout
+from lieint_jax.runs._job import devices
 from lieint_jax.runs._job.engine import Engine, engine_of
 from lieint_jax.runs._job.facts import Facts
 from lieint_jax.runs._job.job import MAX_NAMED, list_members
 from lieint_jax.runs._job.loop import Carry, Given, energy
 from lieint_jax.runs._job.made_states import MakeStates, made_states
 from lieint_jax.runs._job.make_job import make_jobs
-from lieint_jax.runs._job.memory_output import MemoryOutput, first_rows, gather_rows, reduce_rows
+from lieint_jax.runs._job.memory_output import MemoryOutput, first_rows, reduce_rows
 from lieint_jax.runs._job.part_of_task import checked_part, part_of_task
 from lieint_jax.runs._march.clock import GridClock, more_times
 from lieint_jax.runs._storage.leaves import Saves
 from lieint_jax.runs._storage.storage import StoreOptions, Url, address
-from lieint_jax.runs.store import _identity
 from lieint_jax.runs.store._into_store import run_into_store
 from lieint_jax.runs.store._store_output import StoreOutput
 from lieint_jax.types import State, Step, System, callable_pytree
@@ -67,57 +64,51 @@ def compute(
         raise ValueError("resume continues a run in a store; pass store=PATH.zarr")
     k, count = (0, 1) if part is None else part_of_task() if part == "auto" else checked_part(part)
     threads = threads if threads is None else _checks.count("threads", threads, 1)
-    given, mesh = mesh, devices.checked_mesh(mesh)
-    threads = threads or (devices.count_cores() if given is None else len(mesh.local_devices))
+    threads = threads or (devices.count_cores() if mesh is None else mesh.size)
+    mesh = devices.checked_mesh(mesh)
     options = None if store is None else StoreOptions.of(store)
     in_parts, remote = part is not None and count > 1, options is not None and isinstance(address(options.path), Url)
-    if (in_parts or remote) and devices.count_processes(mesh) > 1:
-        raise ValueError("part and stores in object storage are for independent processes, without jax.distributed")
     description |= {"dt": dt, "num_steps": num_steps, "store": store}
     made = made_states(states, members)
     with _checks.on_host():
         whole, job = make_jobs(step, states, made, (k, count) if in_parts else None, remote, description)
     engine = engine_of(job, mesh, threads)
 
-    with processes.name_lost(mesh) if jax.process_count() > 1 else contextlib.nullcontext():
-        if options is None:
-            if devices.count_processes(mesh) > 1:
-                _identity.check_processes(mesh, _identity.description(job, engine), store=None, resume=False)
-            layout = devices.layout_of(mesh, job.members)
-            saves = execute(engine, layout, MemoryOutput(job, layout, earlier), progress)
-            assert saves is not None
-            start = job.initial if job.reduction is not None else None
-            functions = [None if f is None else callable_pytree(f) for f in (job.reduction, job.condition)]
-            times = job.clock.times if isinstance(job.clock, GridClock) else None
-            return job.step, saves, Facts.of_job(job, engine.name), start, *functions, times
-        saves = run_into_store(
-            job,
-            engine,
-            options,
-            lambda layout, output: execute(engine, layout, output, progress),
-            whole=whole,
-            mesh=mesh,
-            part=(k, count) if in_parts else (0, 1),
-            in_parts=in_parts or remote,
-            resume=resume or part is not None,
-            same_bits=same_bits,
-        )
+    if options is None:
+        saves = execute(engine, mesh, MemoryOutput(job, mesh, earlier), progress)
+        assert saves is not None
+        start = job.initial if job.reduction is not None else None
+        functions = [None if f is None else callable_pytree(f) for f in (job.reduction, job.condition)]
+        times = job.clock.times if isinstance(job.clock, GridClock) else None
+        return job.step, saves, Facts.of_job(job, engine.name), start, *functions, times
+    saves = run_into_store(
+        job,
+        engine,
+        options,
+        lambda output: execute(engine, mesh, output, progress),
+        whole=whole,
+        mesh=mesh,
+        part=(k, count) if in_parts else (0, 1),
+        in_parts=in_parts or remote,
+        resume=resume or part is not None,
+        same_bits=same_bits,
+    )
     return job.step, saves, Facts.of_store(str(address(options.path)), saves.attributes)
 
 
-def execute(engine: Engine, layout: Layout, output: MemoryOutput | StoreOutput, progress: bool) -> Saves | None:
+def execute(engine: Engine, mesh: Mesh, output: MemoryOutput | StoreOutput, progress: bool) -> Saves | None:
     """Run a job to its end, append its saved rows to `output`, and return the output's result."""
     job, restored = engine.job, output.restore()
-    given, start = engine.start(layout)
-    shown = bool(devices.all_reduce_max(layout.mesh, progress and Bar.is_visible())[0])
+    given, start = engine.start(mesh)
+    shown = progress and Bar.is_visible()
     H0 = engine.quantity(energy, given, start.state, 0) if shown else None
     if restored is None:
-        _check_start(engine, layout, given, start, output.buffer_rows)
+        _check_start(engine, given, start, output.buffer_rows)
         output.append(first_rows(job, start), 1)
         output.checkpoint(start, 0, 0.0, stop=False)
     carry, done, saved = restored or (start, 0, 0)
     del start, restored  # their arrays are as large as those of a carry
-    most = max(1, 100_000 // layout.members)  # steps in a call
+    most = max(1, 100_000 // job.members)  # steps in a call
     with _interrupts(output.defers_interrupts) as requested, Bar(progress, job.num_steps, job.members, done) as bar:
         while saved < job.num_saves:
             limit, ahead = done + min(most, engine.most_steps), job.nodes[saved + 1 : saved + 1 + output.free_rows]
@@ -127,32 +118,31 @@ def execute(engine: Engine, layout: Layout, output: MemoryOutput | StoreOutput, 
             carry, rows = engine.run_intervals(given, carry, done, saved, ends, output.buffer_rows)
             done, saved = done + steps, saved + saves
             if saves:
-                output.append(
-                    rows if job.reduction is None else reduce_rows(gather_rows(layout, rows, saves), job), saves
-                )
+                output.append(rows if job.reduction is None else reduce_rows(rows, saves, job), saves)
             del rows  # while the next call computes others
             bar.update(steps)
             if H0 is not None:
                 H = engine.quantity(energy, given, carry.state, done)
-                error, failed = devices.worst_energy_error(layout, H0, H, carry.failed)
-                bar.show(error if job.step.system.hamiltonian else None, failed)
-            seconds, stop = devices.all_reduce_max(layout.mesh, time.perf_counter() - clock, bool(requested))
+                H0, H, failed = devices.without_padding((H0, H, carry.failed), job.members)
+                error = devices.worst_energy_error(H0, H) if job.step.system.hamiltonian else None
+                bar.show(error, int(np.sum(failed >= 0)))
+            seconds, stop = time.perf_counter() - clock, bool(requested)
             if steps == most or seconds > _CALL:
                 most = int(min(max(1, most * min(4.0, _CALL / max(seconds, 1e-6))), 2**30))
-            output.checkpoint(carry, done, seconds, bool(stop))
+            output.checkpoint(carry, done, seconds, stop)
             if stop and output.can_stop():
                 raise KeyboardInterrupt(output.interrupt_message(done, job.num_steps))
         result = output.result(carry)
-    warn_of_failures(devices.gather(layout, carry.failed), job.first_member, job.step.system)
+    warn_of_failures(devices.without_padding(carry.failed, job.members), job.first_member, job.step.system)
     return result
 
 
-def _check_start(engine: Engine, layout: Layout, given: Given, start: Carry, rows: int) -> None:
+def _check_start(engine: Engine, given: Given, start: Carry, rows: int) -> None:
     """Raise ValueError if the first step of a member fails, or the reduced quantity is not finite at the start."""
     job = engine.job
     first = job.first_member
     if given.quantity is not None:
-        bad = np.flatnonzero(~np.isfinite(devices.gather(layout, given.quantity)))
+        bad = np.flatnonzero(~np.isfinite(devices.without_padding(given.quantity, job.members)))
         if bad.size:
             raise ValueError(
                 f"the quantity of reduce must be finite at the start, from which its changes are measured, and is not "
@@ -160,7 +150,7 @@ def _check_start(engine: Engine, layout: Layout, given: Given, start: Carry, row
             )
     if job.num_steps:
         after, _ = engine.run_intervals(given, start, 0, 0, np.ones(1, int), rows)
-        bad = np.flatnonzero(devices.gather(layout, after.failed) >= 0)
+        bad = np.flatnonzero(devices.without_padding(after.failed, job.members) >= 0)
         if bad.size and not job.step.approximate:
             step, state = job.member(bad[0])
             more = more_times(step, state, job.first_dt) if isinstance(job.clock, GridClock) else ""
@@ -212,8 +202,8 @@ class Bar:
 
     @staticmethod
     def is_visible() -> bool:
-        """True if this is the first process and somebody sees its bar."""
-        return jax.process_index() == 0 and (sys.stderr.isatty() or _in_notebook())
+        """True if somebody sees the bar: stderr is a terminal, or this is a notebook."""
+        return sys.stderr.isatty() or _in_notebook()
 
     def update(self, steps: int) -> None:
         """Advance the bar by `steps` steps of all members."""

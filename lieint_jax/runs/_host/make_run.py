@@ -139,8 +139,7 @@ def run(
     cannot be compiled this way (a LAPACK call that depends on the state, very many bodies) and other devices use XLA.
 
     The bits of machine code depend neither on threads, processes and parts nor on whether the run was resumed; those of
-    XLA may depend on the numbers of members and devices. With `jax.distributed`, every process calls this with the same
-    arguments and gets the same results.
+    XLA may depend on the numbers of members and devices.
 
     Args:
         step: a scheme's step; with `own_step=True` its leaves carry the member axis too (one inertia per member).
@@ -193,9 +192,8 @@ def run(
             needs; members whose first step fails; results larger than this machine's memory; a store that exists
             (without `resume`), or that is damaged, holds another run or cannot be compared with this one (with
             `resume`); attributes that a store cannot hold; `reduce` does not return a real scalar, or not a finite one
-            at the start; processes that were given different runs.
+            at the start.
         KeyboardInterrupt: interrupted; with `store`, after the chunk has been written.
-        processes.LostProcess: another process of this run is gone.
 
     Warns:
         RuntimeWarning: a step or a function that calls back into Python, so that the store cannot be resumed; members

@@ -11,7 +11,6 @@ import jax
 import numpy as np
 
 from lieint_jax.runs._job import devices
-from lieint_jax.runs._job.devices import Layout
 from lieint_jax.runs._job.engine import Engine
 from lieint_jax.runs._job.job import Job
 from lieint_jax.runs._job.memory_output import rows_and_carry
@@ -47,7 +46,7 @@ def write(job: Job, engine: str, saves: Saves, store: str | Path | StoreOptions)
     return read_written(path)
 
 
-def _feed(job: Job, saves: Saves, _: Layout, output: StoreOutput) -> None:
+def _feed(job: Job, saves: Saves, output: StoreOutput) -> None:
     """Give an output all saves of a run. Its checkpoints are of the end, for nobody resumes an unfinished copy."""
     rows, carry = rows_and_carry(job, saves)
     saved = 0

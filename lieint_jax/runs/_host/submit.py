@@ -19,7 +19,6 @@ from lieint_jax._checks import count
 from lieint_jax.runs._host.execute import Bar, warn_of_failures
 from lieint_jax.runs._host.make_run import OptionsOfParts, run, untransformed
 from lieint_jax.runs._host.run import Run, stored_run
-from lieint_jax.runs._job import processes
 from lieint_jax.runs._job.job import MemberSummary, Summary
 from lieint_jax.runs._job.loop import Reduction
 from lieint_jax.runs._job.made_states import MakeStates
@@ -31,6 +30,14 @@ _PAUSE = 0.05  # seconds between two looks at the tasks
 # of the caller's functions, or a package that the workers lack: a part that is repeated raises them again
 _MISTAKES = (ArithmeticError, AssertionError, AttributeError, ImportError, LookupError, NameError, NotImplementedError)
 _OWN = ("mesh", "part", "progress", "resume")  # arguments of `run` that each task has for itself
+
+
+class LostWorkerError(RuntimeError):
+    """Parts of a run did not finish, for a reason that may pass: a lost worker, a full disk."""
+
+
+class PermanentError(ValueError):
+    """A part of a run fails however often it is started: a wrong argument, or a mistake in a function of yours."""
 
 
 @runtime_checkable
@@ -123,10 +130,10 @@ def submit(
 
     Raises:
         TypeError: an argument that `li.run` does not have; no method `submit`; inside of jit, vmap, grad or jvp.
-        processes.PermanentError: a part fails for a reason that stays: one of those of the ValueError of `li.run`, a
+        PermanentError: a part fails for a reason that stays: one of those of the ValueError of `li.run`, a
             mistake in a function of yours, a package that the workers lack. The task returns it instead of raising it,
             so that no engine repeats it; parts that have not begun are canceled.
-        processes.LostProcess: parts whose workers were lost, or which failed for a reason that may pass, such as a full
+        LostWorkerError: parts whose workers were lost, or which failed for a reason that may pass, such as a full
             disk, after all others have ended. Call again to compute them.
         KeyboardInterrupt: interrupted; parts that have not begun are canceled. Call again to compute the rest.
 
@@ -206,7 +213,7 @@ def _wait(tasks: dict[int, Any], failed: dict[int, Exception], parts: int, shown
                     except Exception as error:
                         failed[k], message = error, None
                     if message is not None:
-                        raise processes.PermanentError(f"part {k} of {parts}: {message}")
+                        raise PermanentError(f"part {k} of {parts}: {message}")
                     bar.update(1)
                 time.sleep(_PAUSE)
     except KeyboardInterrupt:
@@ -220,7 +227,7 @@ def _wait(tasks: dict[int, Any], failed: dict[int, Exception], parts: int, shown
     if failed:
         k, error = min(failed.items(), key=lambda item: item[0])
         first = str(error).partition("\n")[0].rstrip(".")
-        raise processes.LostProcess(
+        raise LostWorkerError(
             f"{len(failed)} of {parts} part(s) did not finish. Part {k}: {type(error).__name__}: {first}. "
             "What is in the store is kept: the same call computes the rest"
         ) from error

@@ -20,7 +20,7 @@ from lieint_jax import native
 from lieint_jax._xla import reads
 from lieint_jax.native import UnsupportedError, computed_by, unsupported_if_it_fails, warn_once
 from lieint_jax.runs._job import devices, loop
-from lieint_jax.runs._job.devices import Layout, Numbers, Tree
+from lieint_jax.runs._job.devices import Numbers, Tree
 from lieint_jax.runs._job.digests import OfMember, digest_or_reason
 from lieint_jax.runs._job.job import Job
 from lieint_jax.runs._job.loop import Axes, Carry, Given, MemberLoop, Reduction, Span
@@ -196,12 +196,12 @@ class Engine:
                 return f"in machine code a first step differs in {name}"
         return ""
 
-    def start(self, layout: Layout) -> tuple[Given, Carry]:
-        """What is given for the members of a process, and their carry."""
+    def start(self, mesh: Mesh) -> tuple[Given, Carry]:
+        """What is given for the members, and their carry, on the devices of a mesh."""
         job = self.job
-        step = devices.placed(layout, job.step, own=job.step_axis is not None)
-        states = devices.placed(layout, job.states)
-        t0 = devices.placed(layout, job.t0, own=job.own_times)
+        step = devices.placed(mesh, job.step, own=job.step_axis is not None)
+        states = devices.placed(mesh, job.states)
+        t0 = devices.placed(mesh, job.t0, own=job.own_times)
         given = self._given(step, t0, states)
         if job.reduction is None:
             return given, loop.start(states, None)

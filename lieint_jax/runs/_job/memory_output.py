@@ -6,19 +6,15 @@ from typing import Any
 
 import jax
 import numpy as np
+from jax.sharding import Mesh
 
 from lieint_jax.runs._job import devices, loop
-from lieint_jax.runs._job.devices import Layout, Tree
+from lieint_jax.runs._job.devices import Tree
 from lieint_jax.runs._job.dyadic_sum import block_sums, blocks, total
 from lieint_jax.runs._job.job import Job, MemberSummary, Series, Summary
 from lieint_jax.runs._job.loop import Carry
 from lieint_jax.runs._storage.leaves import Saves
 from lieint_jax.types import StepInfo, Trajectory
-
-
-def gather_rows(layout: Layout, saved: Tree, number: int) -> Tree:
-    """The first `number` saved rows of all members, on every process."""
-    return devices.gather(layout, jax.tree.map(lambda x: np.asarray(x)[:number], saved), 1)
 
 
 def first_rows(job: Job, carry: Carry) -> Tree | Series:
@@ -44,12 +40,12 @@ def rows_and_carry(job: Job, saves: Saves) -> tuple[Tree | Series, Carry]:
     return rows, loop.start(states, change)._replace(failed=failed.astype(loop.step_dtype()))
 
 
-def reduce_rows(rows: Tree, job: Job) -> Series:
-    """Reduce rows (saves, members) to series (saves,), whose bits depend neither on devices nor on parts.
+def reduce_rows(rows: Tree, number: int, job: Job) -> Series:
+    """Reduce the first `number` rows (saves, members) to series (saves,), of the same bits however the run is split.
 
     For a part, "sums" (saves, blocks) are the sums from which the mean of the whole run is computed.
     """
-    info, change = rows
+    info, change = _rows(rows, number, job)
     reports = {
         "residual": info.residual.max(axis=1),
         "unconverged": (~np.asarray(info.converged)).sum(axis=1),
@@ -67,6 +63,11 @@ def reduce_rows(rows: Tree, job: Job) -> Series:
     return found if job.part is None else found | {"sums": sums}  # pyright: ignore[reportReturnType]
 
 
+def _rows(saved: Tree, number: int, job: Job) -> Tree:
+    """The first `number` saved rows of the members of a job, on the host."""
+    return devices.without_padding(jax.tree.map(lambda x: np.asarray(x)[:number], saved), job.members, 1)
+
+
 class MemoryOutput:
     """Results as numpy arrays; `earlier` are those of a run of which this one is the continuation.
 
@@ -80,8 +81,8 @@ class MemoryOutput:
 
     defers_interrupts = False
 
-    def __init__(self, job: Job, layout: Layout, earlier: Saves | None = None) -> None:
-        self._job, self._layout, self._entries, self._earlier = job, layout, 0, earlier
+    def __init__(self, job: Job, mesh: Mesh, earlier: Saves | None = None) -> None:
+        self._job, self._mesh, self._entries, self._earlier = job, mesh, 0, earlier
         self.buffer_rows = self.free_rows = job.buffer_rows(job.members)
         self._out: Any = None  # rows of all entries, or series
 
@@ -100,11 +101,11 @@ class MemoryOutput:
                 info=StepInfo(np.full(carry.failed.shape, found.residual[-1]), carry.failed < 0)  # pyright: ignore
             )
         self._put(rows)
-        return devices.placed(self._layout, carry), done, saved
+        return devices.placed(self._mesh, carry), done, saved
 
     def append(self, saved: Tree | Series, number: int) -> None:
         """Receive `number` saved rows, or those of the series of a reduction; that of the start first."""
-        self._put(saved if isinstance(saved, dict) else gather_rows(self._layout, saved, number))
+        self._put(saved if isinstance(saved, dict) else _rows(saved, number, self._job))
 
     def _put(self, rows: Tree | Series) -> None:
         """Copy rows to the arrays of all entries, which the first of them make."""
@@ -129,7 +130,7 @@ class MemoryOutput:
 
     def result(self, carry: Carry) -> Saves:
         """The saves, after the last step."""
-        state, failed = devices.gather(self._layout, (carry.state, carry.failed))
+        state, failed = devices.without_padding((carry.state, carry.failed), self._job.members)
         job, times, has_time = self._job, self._job.times, self._job.t0 is not None
         if job.reduction is None:
             info, states = self._out
@@ -140,5 +141,5 @@ class MemoryOutput:
         ends = {"state": state, "failed": failed}
         if not job.per_member:
             return Saves(Summary(times, **series, **ends), failed)
-        change: Any = devices.gather(self._layout, carry.change)
+        change: Any = devices.without_padding(carry.change, job.members)
         return Saves(MemberSummary(times, **change._asdict() | series | ends, number=job.num_steps + 1), failed)

@@ -1,4 +1,4 @@
-"""A function of one member, vmapped over many, with the batch split over devices and processes."""
+"""A function of one member, vmapped over many, with the batch split over devices."""
 
 from __future__ import annotations
 
@@ -7,22 +7,21 @@ from collections.abc import Callable
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jax import Array, lax
-from jax.sharding import Mesh, NamedSharding, PartitionSpec
+from jax import Array
+from jax.sharding import Mesh, PartitionSpec
 from jax.typing import ArrayLike
 
 from lieint_jax._xla import rereading_jit
-from lieint_jax.runs._job import processes
-from lieint_jax.runs._job.devices import AXIS, Tree, checked_mesh, count_processes
+from lieint_jax.runs._job.devices import AXIS, Tree, checked_mesh
 from lieint_jax.runs._job.loop import Axes, axes_of_leaves
 
 
 def over_members(function: Callable[..., Tree], in_axes: Axes = 0, mesh: Mesh | None = None) -> Callable[..., Tree]:
     """Apply any function of one member to many on all devices: a gradient, a fit or a whole study.
 
-    For example `over_members(jax.grad(loss))(params, states)`. The result may be jitted and differentiated again. With
-    `jax.distributed`, every process calls it with the same arguments and gets the same results. All devices run one
-    program, so the last bits may depend on the number of devices; those of machine code in `run` do not.
+    For example `over_members(jax.grad(loss))(params, states)`. The result may be jitted and differentiated again.
+    All devices run one program, so the last bits may depend on the number of devices; those of machine code in `run` do
+    not.
 
     It is compiled once, and again if `function` reads other numbers from outside than before.
 
@@ -42,11 +41,9 @@ def over_members(function: Callable[..., Tree], in_axes: Axes = 0, mesh: Mesh | 
 
     Raises:
         ValueError: no argument with a member axis, different numbers of members, or a mesh with other axes.
-        processes.LostProcess: another process of this run is gone.
     """
     mesh = checked_mesh(mesh)
     split, whole = PartitionSpec(AXIS), PartitionSpec()
-    several = count_processes(mesh) > 1
 
     def map_members(*arguments: Tree) -> Tree:
         given = in_axes if type(in_axes) is tuple else (in_axes,) * len(arguments)
@@ -58,27 +55,14 @@ def over_members(function: Callable[..., Tree], in_axes: Axes = 0, mesh: Mesh | 
             leaf = jnp.asarray(leaf)
             return jnp.concatenate([leaf, jnp.repeat(leaf[-1:], missing, axis=0)]) if missing else leaf
 
-        def drop_padding(leaf: Array) -> Array:
-            return (
-                lax.with_sharding_constraint(leaf[:members], NamedSharding(mesh, whole)) if several else leaf[:members]
-            )
-
         leaves, structure = jax.tree.flatten(arguments)
         full = structure.unflatten(x if axis is None else pad(x) for axis, x in zip(axes, leaves, strict=True))
         specs = structure.unflatten(whole if axis is None else split for axis in axes)
         mapped = jax.vmap(function, structure.unflatten(axes))
         shared = jax.shard_map(mapped, mesh=mesh, in_specs=specs, out_specs=split, check_vma=False)
-        return jax.tree.map(drop_padding, shared(*full))
+        return jax.tree.map(lambda leaf: leaf[:members], shared(*full))
 
-    compiled = rereading_jit(map_members)
-    if not several:
-        return compiled
-
-    def run_on_all_processes(*arguments: Tree) -> Tree:
-        with processes.name_lost(mesh):
-            return jax.block_until_ready(compiled(*jax.tree.map(np.asarray, arguments)))
-
-    return run_on_all_processes
+    return rereading_jit(map_members)
 
 
 def _leaf_axes(axes: tuple[Axes, ...], arguments: tuple[Tree, ...]) -> list[int | None]:

@@ -106,23 +106,22 @@ class Disk(Storage):
         return found
 
     @contextlib.contextmanager
-    def lock(self, folder: str, alone: bool = True) -> Iterator[None]:
+    def lock(self, folder: str) -> Iterator[None]:
         """See `Storage`. The lock is released when the process ends, however it ends.
 
         Unfinished files of any folder are in this one meanwhile, so the next process that locks it can remove them.
         """
         path = self._path / folder
         self._make(path)
-        descriptor = _lock_folder(path) if alone else None
+        descriptor = _lock_folder(path)
         try:
-            for left in path.glob(".*.partial") if alone else ():  # of a process that was killed
+            for left in path.glob(".*.partial"):  # of a process that was killed
                 left.unlink(missing_ok=True)
             self._unfinished = path
             yield
         finally:
             self._unfinished = None
-            if descriptor is not None:
-                os.close(descriptor)
+            os.close(descriptor)
 
     def zarr_store(self) -> Any:
         """See `Storage`."""

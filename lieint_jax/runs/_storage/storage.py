@@ -151,11 +151,8 @@ class Storage(abc.ABC):
     def sizes(self, folder: str = "") -> dict[str, int]:
         """The number of bytes of each file below a folder."""
 
-    def lock(self, folder: str, alone: bool = True) -> contextlib.AbstractContextManager[object]:
-        """A context in which no other process of this machine locks the folder, where the storage has locks.
-
-        With `alone=False` for the other processes of a run whose first one has locked it.
-        """
+    def lock(self, folder: str) -> contextlib.AbstractContextManager[object]:
+        """A context in which no other process of this machine locks the folder, where the storage has locks."""
         return contextlib.nullcontext()
 
     @abc.abstractmethod

@@ -1,8 +1,7 @@
-"""Everything that the bits of a run depend on; processes and stores are compared by it before a run starts."""
+"""Everything that the bits of a run depend on, by which a run is compared with a store before it is resumed."""
 
 from __future__ import annotations
 
-import hashlib
 import json
 import os
 import platform
@@ -12,10 +11,7 @@ from collections.abc import Collection, Mapping
 from pathlib import Path
 
 import jax
-import numpy as np
-from jax.sharding import Mesh
 
-from lieint_jax.runs._job import devices
 from lieint_jax.runs._job.digests import digest_of_arrays, digest_of_states, reason_of
 from lieint_jax.runs._job.engine import Engine
 from lieint_jax.runs._job.facts import package_versions
@@ -65,27 +61,6 @@ def description(job: Job, engine: Engine, scenario: object = None) -> Table:
         "scenario": scenario,
     }
     return json.loads(json.dumps(described))
-
-
-def check_processes(mesh: Mesh, described: Table, **options: object) -> None:
-    """Raise ValueError on every process if the processes are about to start different runs.
-
-    Args:
-        mesh: the devices of all processes.
-        described: the description of this process' run.
-        options: other values for JSON on which the processes must agree.
-    """
-    if devices.count_processes(mesh) == 1:
-        return
-    parts = {**described, **options}
-    mine = [hashlib.sha256(json.dumps(parts[key], sort_keys=True).encode()).digest()[:8] for key in parts]
-    found = devices.all_gather(mesh, np.frombuffer(b"".join(mine), np.uint32)).reshape(-1, len(parts), 2)
-    different = [key for key, same in zip(parts, (found == found[0]).all(axis=(0, 2)), strict=True) if not same]
-    if different:
-        raise ValueError(
-            f"the processes of this run were given different runs: they differ in {', '.join(different)}. Nothing was "
-            "integrated; start every process with the same scenario and the same arguments"
-        )
 
 
 def machine_of(described: Table) -> Table:

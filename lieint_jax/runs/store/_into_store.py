@@ -6,11 +6,8 @@ import contextlib
 from collections.abc import Callable
 from functools import partial
 
-import jax
 from jax.sharding import Mesh
 
-from lieint_jax.runs._job import devices
-from lieint_jax.runs._job.devices import Layout
 from lieint_jax.runs._job.digests import digest_of_states
 from lieint_jax.runs._job.dyadic_sum import blocks
 from lieint_jax.runs._job.engine import Engine
@@ -34,7 +31,7 @@ def run_into_store(
     job: Job,
     engine: Engine,
     options: StoreOptions,
-    integrate: Callable[[Layout, StoreOutput], object],
+    integrate: Callable[[StoreOutput], object],
     *,
     whole: Job,
     mesh: Mesh,
@@ -60,14 +57,12 @@ def run_into_store(
         same_bits: only where it was begun on a machine of the same kind.
     """
     k, count = part
-    storage, leader = open_storage(checked_path(options.path)), jax.process_index() == 0
+    storage = open_storage(checked_path(options.path))
     split = split_into_parts(whole, count, storage.is_remote)
     check_json(options.attributes)
     described = _identity.description(whole, engine, options.attributes.get("scenario"))
     first_files = partial(_skeleton, whole, options, described, split, in_parts, storage.is_remote)
-    _identity.check_processes(mesh, described, store=storage.address.name, resume=resume)
-    together = partial(devices.fail_together, mesh)
-    exists = bool(devices.all_reduce_max(mesh, storage.has_store())[0])
+    exists = storage.has_store()
     if exists and not resume:
         raise ValueError(
             f"{storage.address.name} exists and is not overwritten; resume continues it, or choose another store"
@@ -75,19 +70,16 @@ def run_into_store(
     if not exists:
         if not in_parts:  # whose other parts must be comparable
             _identity.warn_of_no_resume(described)
-        exists = not together(lambda: not leader or _is_created(storage, first_files(), in_parts))
-    root = together(lambda: _root_of(storage, described if exists or in_parts else None, split, in_parts, same_bits))
+        exists = not _is_created(storage, first_files(), in_parts)
+    root = _root_of(storage, described if exists or in_parts else None, split, in_parts, same_bits)
     with contextlib.ExitStack() as stack:
-        together(lambda: stack.enter_context(root.storage.lock(root.folder(k), leader)))
+        stack.enter_context(root.storage.lock(root.folder(k)))
         if in_parts:
             join(root, first_files())
         initial, machine = digest_of_states(job.initial), _identity.machine_of(described)
-        writer = together(
-            lambda: stack.enter_context(contextlib.closing(Writer(root, k, leader, initial, machine, same_bits)))
-        )
-        layout = devices.layout_of(mesh, job.members, root.split.chunk)
+        writer = stack.enter_context(contextlib.closing(Writer(root, k, initial, machine, same_bits)))
         if not writer.progress["complete"]:
-            integrate(layout, StoreOutput(job, layout, writer))
+            integrate(StoreOutput(job, mesh, writer))
         progress = writer.progress
     return read_part(root, k, progress)
 

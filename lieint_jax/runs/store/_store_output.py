@@ -2,16 +2,16 @@
 
 from __future__ import annotations
 
-import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from functools import partial
 from typing import Any
 
 import jax
 import numpy as np
+from jax.sharding import Mesh
 
 from lieint_jax.runs._job import devices
-from lieint_jax.runs._job.devices import Layout, Numbers, Tree
+from lieint_jax.runs._job.devices import Numbers, Tree
 from lieint_jax.runs._job.job import Job, Series
 from lieint_jax.runs._job.loop import Carry, Change
 from lieint_jax.runs._storage.leaves import Table, store_name
@@ -28,12 +28,11 @@ class StoreOutput:
 
     defers_interrupts = True
 
-    def __init__(self, job: Job, layout: Layout, writer: Writer) -> None:
-        self._job, self._layout, self._writer = job, layout, writer
+    def __init__(self, job: Job, mesh: Mesh, writer: Writer) -> None:
+        self._job, self._mesh, self._writer = job, mesh, writer
         self._entries = writer.progress["entries"]  # committed so far
         self._pending: list[tuple[Pending, int]] = []
         self._since = 0.0
-        self._publish: Callable[[], None] | None = None  # of the commit that is being written
         self.buffer_rows = int(writer.attributes["time_chunk"])
 
     @property
@@ -50,14 +49,12 @@ class StoreOutput:
         done = self._writer.progress
         if not done["commits"]:
             return None
-        part = self._layout.computed_members
-
-        found: dict[str, Any] = self._writer.carry(part)
+        found = self._writer.carry()
         info = StepInfo(found["residual"], found["converged"])
         state = state_from_leaves({name: found[name] for name in leaves_by_name(self._job.states)})
         names = self._job.change_names
         carry = Carry(state, info, found["failed"], Change(**{name: found[name] for name in names}) if names else None)
-        return devices.placed(self._layout, carry, first=part.start), done["steps"], done["entries"] - 1
+        return devices.placed(self._mesh, carry), done["steps"], done["entries"] - 1
 
     def append(self, saved: Tree | Series, number: int) -> None:
         """See `MemoryOutput`. A part of a longer buffer is copied, so that this can be freed."""
@@ -70,46 +67,25 @@ class StoreOutput:
 
     def checkpoint(self, carry: Carry, done: int, seconds: float, stop: bool) -> None:
         """Commit if a chunk is full; or if no rows are pending and the last commit is old or the run is to stop."""
-        self._settle(wait=False)
+        self._writer.check()
         self._since += seconds
         last = self._entries + self._pending_rows > self._job.num_saves
         whole = self._pending_rows and (self._entries + self._pending_rows) % self.buffer_rows == 0
         if not (last or whole or (not self._pending_rows and (stop or self._since > _CHECKPOINT_EVERY))):
             return
-        self._settle(wait=True)
+        self._writer.wait()
         pending, first, writer = self._pending, self._entries, self._writer
         number = writer.progress["commits"] + 1
         self._entries, self._pending, self._since = first + self._pending_rows, [], 0.0
         row = first // self.buffer_rows if pending else None
         commits = 0 if last else number  # reset: it depends on interruptions
         progress = {"commits": commits, "entries": self._entries, "steps": done, "complete": last}
-        self._publish = partial(self._publish_commit, carry, row, progress)
-        writer.write(partial(self._slabs, carry, pending, first, last), self._publish if self._alone else None)
+        writer.write(partial(self._slabs, carry, pending, first, last), partial(self._publish, carry, row, progress))
 
-    def _publish_commit(self, carry: Carry, row: int | None, progress: Table) -> None:
-        """Publish a commit that all processes have written."""
-        layout, complete = self._layout, progress["complete"]
-        checksums = devices.all_gather(layout.mesh, self._writer.checksums(row, complete)).max(axis=0)
-        arrays = {} if complete else devices.gather(layout, _leaves_of_carry(carry))
-        self._writer.publish(row, progress, checksums, arrays)
-
-    def _settle(self, wait: bool) -> None:
-        """Publish the commit in progress if all processes have written it; with `wait`, wait until they have."""
-        while self._publish is not None:
-            missing = devices.all_reduce_max(self._layout.mesh, not self._writer.is_written)[0]
-            if not missing:
-                if not self._alone:
-                    with self._writer.errors():
-                        self._publish()
-                self._publish = None
-            elif not wait:
-                return
-            else:
-                time.sleep(0.002)
-
-    @property
-    def _alone(self) -> bool:
-        return devices.count_processes(self._layout.mesh) == 1
+    def _publish(self, carry: Carry, row: int | None, progress: Table) -> None:
+        """Publish a commit whose chunks are written; called by the background thread."""
+        arrays = {} if progress["complete"] else devices.without_padding(_leaves_of_carry(carry), self._job.members)
+        self._writer.publish(row, progress, arrays)
 
     def _slabs(self, carry: Carry, pending: list[tuple[Pending, int]], first: int, last: bool) -> Iterator[Slab]:
         """What a commit writes, piece by piece, computed by the background thread."""
@@ -120,16 +96,14 @@ class StoreOutput:
         end = first + sum(number for _, number in pending)
         if self._job.reduction is None:
             yield from self._slabs_of_rows(pending, slice(first, end))
-        elif jax.process_index() == 0:
+        else:
             for name in pending[0][0]:
                 yield Slab(name, (first,), np.concatenate([values[name] for values, _ in pending]))
 
     def _end(self, carry: Carry) -> Iterator[Slab]:
         """What is known after the last step only."""
-        layout, members = self._layout, self._layout.local_members
-        if not len(members):
-            return
-        host = {name: devices.local_part(layout, x) for name, x in _leaves_of_carry(carry).items()}
+        members = range(self._job.members)
+        host = devices.without_padding(_leaves_of_carry(carry), len(members))
         kept = {"first_failure": host["failed"]}
         if self._job.reduction is not None:
             names = self._job.change_names if self._job.per_member else ()
@@ -140,15 +114,14 @@ class StoreOutput:
             yield Slab(store_name(name), (members.start,), x)
 
     def _slabs_of_rows(self, pending: list[tuple[Pending, int]], entries: slice) -> Iterator[Slab]:
-        """The rows of this process' members, joined along time for a few chunks at once: memory has no copy of all."""
-        members, across = self._layout.local_members, SLAB * int(self._writer.attributes["member_chunk"])
+        """The rows of all members, joined along time for a few chunks at once: memory has no copy of all."""
+        members, across = range(self._job.members), SLAB * int(self._writer.attributes["member_chunk"])
         slabs = [members[k : k + across] for k in range(0, len(members), across)]
         saved = [leaves_by_name(state) | info._asdict() for (info, state), _ in pending]
         for name in saved[0]:
-            pieces = [devices.local_part(self._layout, rows[name], 1) for rows in saved]
+            pieces = [devices.without_padding(rows[name], len(members), 1) for rows in saved]
             for slab in slabs:
-                own = slice(slab.start - members.start, slab.stop - members.start)
-                rows = [piece[:, own] for piece in pieces]
+                rows = [piece[:, slab.start : slab.stop] for piece in pieces]
                 joined = np.concatenate(rows) if len(rows) > 1 else rows[0]
                 yield Slab(store_name(name), (entries.start, slab.start), joined)
         if self._job.own_times:
@@ -163,7 +136,7 @@ class StoreOutput:
         """True if everything so far is committed."""
         if self._pending:
             return False
-        self._settle(wait=True)
+        self._writer.wait()
         return True
 
     def interrupt_message(self, done: int, num_steps: int) -> str:
@@ -172,8 +145,7 @@ class StoreOutput:
 
     def result(self, carry: Carry) -> None:
         """Wait until everything is written."""
-        self._settle(wait=True)
-        devices.all_gather(self._layout.mesh, [0.0])  # and until all processes are here
+        self._writer.wait()
 
 
 def _leaves_of_carry(carry: Carry) -> dict[str, Numbers]:

@@ -134,12 +134,10 @@ class Writer:
 
     A commit is a row of whole chunks, and the carry from which the run goes on. A background thread writes the chunks
     while the run continues. Then `publish` replaces the state of the part, in which their checksums and the carry are.
-    Of several processes of one run each writes the chunks of its own members, and the first one publishes.
 
     Args:
         root: the root of the store.
         k: which part.
-        leader: whether this process publishes.
         initial: the digest of the initial states of the part's members.
         machine: the processor, the versions and the engine, which the part records.
         same_bits: whether the part must have begun with initial states of the same bits.
@@ -149,13 +147,12 @@ class Writer:
         self,
         root: Root,
         k: int,
-        leader: bool = True,
         initial: str = "",
         machine: Table | None = None,
         same_bits: bool = True,
     ) -> None:
         self.path = root.storage.address
-        self._root, self._k, self._leader = root, k, leader
+        self._root, self._k = root, k
         self._members = root.split.part(k)
         self._store = open_zarr(root.storage, writable=True)
         self._arrays: dict[str, Any] = {}
@@ -165,8 +162,7 @@ class Writer:
         state = self._found(initial, same_bits) or PartState(START, {}, initial)
         new = () if machine is None or machine in state.machines else (machine,)
         self._state = state._replace(machines=(*state.machines, *new))
-        if leader:
-            root.show(self.progress)
+        root.show(self.progress)
 
     def _found(self, initial: str, same_bits: bool) -> PartState | None:
         """The state that is resumed."""
@@ -198,33 +194,33 @@ class Writer:
         """The state of the published run: its commits, entries along time, steps, and whether it is complete."""
         return self._state.progress
 
-    def carry(self, members: range) -> dict[str, np.ndarray]:
-        """The arrays of the published carry by name, for these of the part's members."""
-        own = slice(members.start, members.stop)
-        found = self._state.arrays.items()
-        return {name.removeprefix(CARRY): x[own] for name, x in found if name.startswith(CARRY)}
+    def carry(self) -> dict[str, Any]:
+        """The arrays of the published carry by name."""
+        return {name.removeprefix(CARRY): x for name, x in self._state.arrays.items() if name.startswith(CARRY)}
 
-    def write(self, slabs: Callable[[], Iterable[Slab]], then: Callable[[], None] | None) -> None:
-        """Start writing slabs in the background, and call `then` there if it is given.
+    def write(self, slabs: Callable[[], Iterable[Slab]], then: Callable[[], None]) -> None:
+        """Start writing slabs in the background, and then call `then` there.
 
         The previous commit must have been published.
         """
 
         def work() -> None:
             self._put_all(slabs())
-            if then is not None:
-                then()
+            then()
 
         self._writing = self._background.submit(work)
 
-    @property
-    def is_written(self) -> bool:
-        """True if what `write` has started is on disk. Raises OSError if it could not be written."""
-        if self._writing is None or not self._writing.done():
-            return self._writing is None
-        with self.errors():
-            self._writing.result()
-        return True
+    def check(self) -> None:
+        """Raise OSError if what `write` has started has failed."""
+        if self._writing is not None and self._writing.done():
+            self.wait()
+
+    def wait(self) -> None:
+        """Wait until what `write` has started is on disk and published. Raises OSError if it could not be."""
+        writing, self._writing = self._writing, None
+        if writing is not None:
+            with self.errors():
+                writing.result()
 
     @contextmanager
     def errors(self) -> Iterator[None]:
@@ -237,40 +233,32 @@ class Writer:
                 error.errno, f"{reason}: {self.path} holds everything up to step {steps}; fix the cause and resume"
             ) from error
 
-    def checksums(self, row: int | None, complete: bool) -> np.ndarray:
-        """The checksums of a commit's files: those that this process has written, and 0 for those of others.
+    def publish(self, row: int | None, progress: Table, carry: Mapping[str, np.ndarray]) -> None:
+        """Make a commit visible whose files are written.
 
         Args:
             row: the row of chunks along time that it fills, or None.
-            complete: whether it is the last one.
-        """
-        rows = [] if row is None else self._root.files(self._k, row)
-        ends = self._root.files(self._k) if complete else []
-        return np.array([self._store.checksums.get(file, 0) for file in rows + ends], np.uint32)
-
-    def publish(self, row: int | None, progress: Table, checksums: np.ndarray, carry: Mapping[str, np.ndarray]) -> None:
-        """Make a commit visible, after every process has written its files.
-
-        Args:
-            row: as in `checksums`.
             progress: the progress that it publishes.
-            checksums: those of all processes.
             carry: the arrays of all members of this part, from which the run goes on; none after the last step.
         """
         rows = self._state.arrays.get(ROWS)
         if row is not None:
-            own, checksums = np.split(checksums, [len(self._root.files(self._k, row))])
-            rows = own[None] if rows is None else np.concatenate([rows[:row], own[None]])
+            own = self._checksums(self._root.files(self._k, row))[None]
+            rows = own if rows is None else np.concatenate([rows[:row], own])
         arrays = {} if rows is None else {ROWS: rows}
         if progress["complete"]:
-            arrays[ENDS] = checksums
+            arrays[ENDS] = self._checksums(self._root.files(self._k))
         state = self._state._replace(progress=progress, arrays=arrays)
-        if self._leader and not self._is_overtaken(progress):
+        if not self._is_overtaken(progress):
             whole = state._replace(arrays=arrays | {f"{CARRY}{name}": x for name, x in carry.items()})
             self._root.storage.put(self._root.state_file(self._k), whole.encode(self._root.place(self._k)))
             self._root.show(progress)
         self._state = state
         self._store.checksums.clear()
+
+    def _checksums(self, files: Iterable[str]) -> np.ndarray:
+        """The checksums of files of this commit."""
+        return np.array([self._store.checksums[file] for file in files], np.uint32)
 
     def _is_overtaken(self, progress: Table) -> bool:
         """Whether another process has come further with this part, which happens only where there are no locks."""
