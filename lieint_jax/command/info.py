@@ -64,7 +64,7 @@ def select_from(path: Address, run: Trajectory, metadata: dict[str, Any]) -> Cal
         ValueError: the system of the run is of classes from outside this package; the message names the call of
             Python that opens it.
     """
-    step, own_step = step_from_store(path, metadata), metadata["run"]["step_axis"] == 0
+    step, own_step = step_from_store(path, metadata), metadata["run"]["own_step"]
     known = {"dt": metadata["dt"], "num_steps": metadata["run"]["num_steps"], "save_every": metadata["save_every"]}
     check_system(path, step.system, run, own_step)
 

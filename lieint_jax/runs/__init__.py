@@ -18,7 +18,6 @@ from lieint_jax.runs._host.memory import peak_memory
 from lieint_jax.runs._host.run import Run
 from lieint_jax.runs._host.submit import Executor, LostWorkerError, PermanentError, submit
 from lieint_jax.runs._job.devices import count_cores, first_devices, want_devices
-from lieint_jax.runs._job.job import Summary
 from lieint_jax.runs._job.loop import Reduction, compiler_options
 from lieint_jax.runs._job.made_states import MakeStates
 from lieint_jax.runs._job.over_members import over_members
@@ -49,6 +48,7 @@ from lieint_jax.runs._march.integrate import (
 )
 from lieint_jax.runs._march.interpolate import interpolate
 from lieint_jax.runs._storage.storage import StoreOptions
+from lieint_jax.runs._summary import Summary
 
 __all__ = [
     "Adjoint",

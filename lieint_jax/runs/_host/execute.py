@@ -9,152 +9,102 @@ import threading
 import time
 import warnings
 from collections.abc import Iterator
-from pathlib import Path
+from functools import partial
 from types import FrameType
-from typing import Any, Literal, Self
+from typing import Self
 
 import numpy as np
-from jax.sharding import Mesh
 
 from lieint_jax import _checks
 from lieint_jax.runs._job import devices
 from lieint_jax.runs._job.engine import Engine, engine_of
-from lieint_jax.runs._job.facts import Facts
-from lieint_jax.runs._job.job import MAX_NAMED, list_members
 from lieint_jax.runs._job.loop import Carry, Given, energy
-from lieint_jax.runs._job.made_states import MakeStates, made_states
-from lieint_jax.runs._job.make_job import make_jobs
 from lieint_jax.runs._job.memory_output import MemoryOutput, first_rows, reduce_rows
-from lieint_jax.runs._job.part_of_task import checked_part, part_of_task
 from lieint_jax.runs._march.clock import GridClock, more_times
+from lieint_jax.runs._plan import MAX_NAMED, Plan, list_members
 from lieint_jax.runs._storage.leaves import Saves
-from lieint_jax.runs._storage.storage import StoreOptions, Url, address
 from lieint_jax.runs.store._into_store import run_into_store
 from lieint_jax.runs.store._store_output import StoreOutput
-from lieint_jax.types import State, Step, System, callable_pytree
+from lieint_jax.types import System
 
 _CALL = 0.5  # target duration of a call of the compiled loop, s
 
 
-def compute(
-    step: Step,
-    states: State | MakeStates,
-    dt: float | None,
-    num_steps: int | None,
-    *,
-    mesh: Mesh | None = None,
-    store: str | Path | StoreOptions | None = None,
-    progress: bool = True,
-    resume: bool = False,
-    part: tuple[int, int] | Literal["auto"] | None = None,
-    members: int | None = None,
-    threads: int | None = None,
-    same_bits: bool = True,
-    earlier: Saves | None = None,
-    **description: Any,
-) -> tuple[Any, ...]:
-    """Compute a run, and return the arguments of `run_of_saves`; states have the member axis also if it is of one body.
+def compute(plan: Plan, earlier: Saves | None = None) -> tuple[Plan, Saves, str]:
+    """Compute a run, or the part of it that is this process'; `earlier` are saves in memory that it continues.
 
-    Args:
-        step, states, dt, num_steps, mesh, store, progress, resume, part, members, threads, same_bits: as in `li.run`.
-        earlier: the saves in memory of a run that this one continues.
-        description: further arguments of `checked_job`.
+    Returns:
+        The plan of these members, their saves, and the name of the engine.
     """
-    if resume and store is None:
-        raise ValueError("resume continues a run in a store; pass store=PATH.zarr")
-    k, count = (0, 1) if part is None else part_of_task() if part == "auto" else checked_part(part)
-    threads = threads if threads is None else _checks.count("threads", threads, 1)
-    threads = threads or (devices.count_cores() if mesh is None else mesh.size)
-    mesh = devices.checked_mesh(mesh)
-    options = None if store is None else StoreOptions.of(store)
-    in_parts, remote = part is not None and count > 1, options is not None and isinstance(address(options.path), Url)
-    description |= {"dt": dt, "num_steps": num_steps, "store": store}
-    made = made_states(states, members)
     with _checks.on_host():
-        whole, job = make_jobs(step, states, made, (k, count) if in_parts else None, remote, description)
-    engine = engine_of(job, mesh, threads)
-
-    if options is None:
-        saves = execute(engine, mesh, MemoryOutput(job, mesh, earlier), progress)
-        assert saves is not None
-        start = job.initial if job.reduction is not None else None
-        functions = [None if f is None else callable_pytree(f) for f in (job.reduction, job.condition)]
-        times = job.clock.times if isinstance(job.clock, GridClock) else None
-        return job.step, saves, Facts.of_job(job, engine.name), start, *functions, times
-    saves = run_into_store(
-        job,
-        engine,
-        options,
-        lambda output: execute(engine, mesh, output, progress),
-        whole=whole,
-        mesh=mesh,
-        part=(k, count) if in_parts else (0, 1),
-        in_parts=in_parts or remote,
-        resume=resume or part is not None,
-        same_bits=same_bits,
-    )
-    return job.step, saves, Facts.of_store(str(address(options.path)), saves.attributes)
+        own = plan.of_part()
+    engine = engine_of(own)
+    if plan.store is not None:
+        return own, run_into_store(plan, engine, partial(execute, engine)), engine.name
+    saves = execute(engine, MemoryOutput(own, earlier))
+    assert saves is not None
+    return own, saves, engine.name
 
 
-def execute(engine: Engine, mesh: Mesh, output: MemoryOutput | StoreOutput, progress: bool) -> Saves | None:
-    """Run a job to its end, append its saved rows to `output`, and return the output's result."""
-    job, restored = engine.job, output.restore()
-    given, start = engine.start(mesh)
-    shown = progress and Bar.is_visible()
-    H0 = engine.quantity(energy, given, start.state, 0) if shown else None
+def execute(engine: Engine, output: MemoryOutput | StoreOutput) -> Saves | None:
+    """Run a plan to its end, append its saved rows to `output`, and return the output's result."""
+    plan, restored = engine.plan, output.restore()
+    given, start = engine.start()
+    H0 = engine.quantity(energy, given, start.state) if plan.progress and Bar.is_visible() else None
     if restored is None:
         _check_start(engine, given, start, output.buffer_rows)
-        output.append(first_rows(job, start), 1)
+        output.append(first_rows(plan, start), 1)
         output.checkpoint(start, 0, 0.0, stop=False)
     carry, done, saved = restored or (start, 0, 0)
     del start, restored  # their arrays are as large as those of a carry
-    most = max(1, 100_000 // job.members)  # steps in a call
-    with _interrupts(output.defers_interrupts) as requested, Bar(progress, job.num_steps, job.members, done) as bar:
-        while saved < job.num_saves:
-            limit, ahead = done + min(most, engine.most_steps), job.nodes[saved + 1 : saved + 1 + output.free_rows]
+    most = max(1, 100_000 // plan.members)  # steps in a call
+    bar = Bar(plan.progress, plan.num_steps, plan.members, done)
+    with _interrupts(output.defers_interrupts) as requested, bar:
+        while saved < plan.num_saves:
+            limit, ahead = done + min(most, engine.most_steps), plan.nodes[saved + 1 : saved + 1 + output.free_rows]
             saves = int(np.searchsorted(ahead, limit, side="right"))
             ends = ahead[:saves] if saves else np.array([limit])
             clock, steps = time.perf_counter(), int(ends[-1]) - done
             carry, rows = engine.run_intervals(given, carry, done, saved, ends, output.buffer_rows)
             done, saved = done + steps, saved + saves
             if saves:
-                output.append(rows if job.reduction is None else reduce_rows(rows, saves, job), saves)
+                output.append(rows if plan.reduction is None else reduce_rows(rows, saves, plan), saves)
             del rows  # while the next call computes others
             bar.update(steps)
             if H0 is not None:
-                H = engine.quantity(energy, given, carry.state, done)
-                H0, H, failed = devices.without_padding((H0, H, carry.failed), job.members)
-                error = devices.worst_energy_error(H0, H) if job.step.system.hamiltonian else None
+                H = engine.quantity(energy, given, carry.state)
+                H0, H, failed = devices.without_padding((H0, H, carry.failed), plan.members)
+                error = devices.worst_energy_error(H0, H) if plan.step.system.hamiltonian else None
                 bar.show(error, int(np.sum(failed >= 0)))
             seconds, stop = time.perf_counter() - clock, bool(requested)
             if steps == most or seconds > _CALL:
                 most = int(min(max(1, most * min(4.0, _CALL / max(seconds, 1e-6))), 2**30))
             output.checkpoint(carry, done, seconds, stop)
             if stop and output.can_stop():
-                raise KeyboardInterrupt(output.interrupt_message(done, job.num_steps))
+                raise KeyboardInterrupt(output.interrupt_message(done, plan.num_steps))
         result = output.result(carry)
-    warn_of_failures(devices.without_padding(carry.failed, job.members), job.first_member, job.step.system)
+    warn_of_failures(devices.without_padding(carry.failed, plan.members), plan.first_member, plan.step.system)
     return result
 
 
 def _check_start(engine: Engine, given: Given, start: Carry, rows: int) -> None:
     """Raise ValueError if the first step of a member fails, or the reduced quantity is not finite at the start."""
-    job = engine.job
-    first = job.first_member
+    plan = engine.plan
+    first = plan.first_member
     if given.quantity is not None:
-        bad = np.flatnonzero(~np.isfinite(devices.without_padding(given.quantity, job.members)))
+        bad = np.flatnonzero(~np.isfinite(devices.without_padding(given.quantity, plan.members)))
         if bad.size:
             raise ValueError(
                 f"the quantity of reduce must be finite at the start, from which its changes are measured, and is not "
                 f"finite for {list_members(bad + first)}"
             )
-    if job.num_steps:
+    if plan.num_steps:
         after, _ = engine.run_intervals(given, start, 0, 0, np.ones(1, int), rows)
-        bad = np.flatnonzero(devices.without_padding(after.failed, job.members) >= 0)
-        if bad.size and not job.step.approximate:
-            step, state = job.member(bad[0])
-            more = more_times(step, state, job.first_dt) if isinstance(job.clock, GridClock) else ""
-            advice = f"{step.failure(state, job.first_dt)}{more}"
+        bad = np.flatnonzero(devices.without_padding(after.failed, plan.members) >= 0)
+        if bad.size and not plan.step.approximate:
+            step, state = plan.member(bad[0])
+            more = more_times(step, state, plan.first_dt) if isinstance(plan.clock, GridClock) else ""
+            advice = f"{step.failure(state, plan.first_dt)}{more}"
             raise ValueError(f"the first step fails for {list_members(bad + first)}. Member {bad[0] + first}: {advice}")
 
 

@@ -12,15 +12,14 @@ from jax.sharding import Mesh
 from numpy.typing import ArrayLike
 
 from lieint_jax import _checks
-from lieint_jax.dates import DateLike, text_of
-from lieint_jax.runs._host.execute import compute
-from lieint_jax.runs._host.run import Run, run_of_saves, stored_run
-from lieint_jax.runs._job.job import MemberSummary, Summary, with_member_axis
+from lieint_jax.dates import DateLike
+from lieint_jax.runs._host.run import Run, run_of_plan, stored_run
 from lieint_jax.runs._job.loop import Reduction
 from lieint_jax.runs._job.made_states import MakeStates
-from lieint_jax.runs._job.make_job import check_own_steps, is_batch
 from lieint_jax.runs._march.arguments import explained
+from lieint_jax.runs._plan import make_plan
 from lieint_jax.runs._storage.storage import StoreOptions, address
+from lieint_jax.runs._summary import MemberSummary, Summary
 from lieint_jax.runs.store._reading import open_with_step
 from lieint_jax.types import State, Step, Trajectory
 
@@ -199,18 +198,13 @@ def run(
         RuntimeWarning: a step or a function that calls back into Python, so that the store cannot be resumed; members
             that fail to converge later; times so large that their floating-point numbers are dt/10⁶ apart.
     """
-    if own_step:
-        check_own_steps(step, members if callable(states) else len(states.p))
-    batch = callable(states) or is_batch(step, states, own_step)
-    if own_step and not batch:
-        raise ValueError("own_step=True is for a batch, and these states are of one body")
-    fields = compute(
+    plan = make_plan(
         step,
-        states if batch else with_member_axis(states),
+        states,
         dt,
         num_steps,
-        save_every=None if save_every == 1 and (save_at is not None or per is not None) else save_every,
-        step_axis=0 if own_step else None,
+        save_every=save_every,
+        own_step=own_step,
         reduce=reduce,
         per=per,
         first=first,
@@ -224,10 +218,9 @@ def run(
         members=members,
         threads=threads,
         same_bits=same_bits,
-        batch=batch,
-        epoch="" if epoch is None else text_of(epoch),
+        epoch=epoch,
     )
-    return run_of_saves(*fields)
+    return run_of_plan(plan)
 
 
 def open_run(

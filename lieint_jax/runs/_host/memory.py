@@ -8,10 +8,10 @@ from typing import Any
 import jax
 import numpy as np
 
-from lieint_jax.runs._job.job import chunk_members, rows_of_call
 from lieint_jax.runs._job.made_states import MakeStates, made_states
 from lieint_jax.runs._job.part_of_task import checked_part
 from lieint_jax.runs._march.clock import power_of_two
+from lieint_jax.runs._plan import chunk_members, rows_of_call
 from lieint_jax.runs._storage.storage import StoreOptions, Url, address
 from lieint_jax.runs.store._store_output import SLAB
 from lieint_jax.types import State

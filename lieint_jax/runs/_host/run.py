@@ -23,12 +23,13 @@ from lieint_jax.runs._host.error import RunError, estimate
 from lieint_jax.runs._host.execute import compute
 from lieint_jax.runs._host.save import write
 from lieint_jax.runs._job.facts import Facts, compile_map, dates_of, defect, from_start, lines, momentum, periods, plain
-from lieint_jax.runs._job.job import MemberSummary, Summary, member_of, saves_of_batch, with_member_axis
 from lieint_jax.runs._job.loop import energy
-from lieint_jax.runs._job.make_job import checked_job, is_batch
+from lieint_jax.runs._march.clock import GridClock
 from lieint_jax.runs._march.interpolate import interpolate, interpolate_members
+from lieint_jax.runs._plan import Plan, is_batch, make_plan
 from lieint_jax.runs._storage.leaves import Saves
-from lieint_jax.runs._storage.storage import StoreOptions
+from lieint_jax.runs._storage.storage import StoreOptions, address
+from lieint_jax.runs._summary import MemberSummary, Summary, member_of, saves_of_batch
 from lieint_jax.types import State, Step, StepInfo, System, Trajectory, callable_pytree, labeled, pytree, static
 
 if TYPE_CHECKING:
@@ -348,12 +349,12 @@ class Run(Generic[Saved, Reduced]):
             chosen = np.unique(np.linspace(0, self.members - 1, min(count, self.members)).round().astype(int))
         saved = jax.tree.map(lambda x: np.asarray(x if chosen is None else x[:, chosen]), self.state)
         step = self.step if not self.own_step else jax.tree.map(lambda x: np.asarray(x)[chosen], self.step)
-        start = jax.tree.map(lambda x: x[0], saved)
-        start, steps = start if facts.batch else with_member_axis(start), (len(self.t) - 1) * every
+        start, steps = jax.tree.map(lambda x: x[0], saved), (len(self.t) - 1) * every
 
         def finer(parts: int) -> State:
-            sizes = {"dt": dt / parts, "num_steps": parts * steps, "save_every": parts * every}
-            return run_of_saves(*compute(step, start, **self._options | sizes, progress=False)).state
+            sizes = dt / parts, parts * steps
+            plan = make_plan(step, start, *sizes, save_every=parts * every, own_step=facts.own_step, progress=False)
+            return run_of_plan(plan).state
 
         return estimate(np.asarray(self.t), chosen, self.step.order, saved, finer(2), finer(4))
 
@@ -413,9 +414,7 @@ class Run(Generic[Saved, Reduced]):
         if more % facts.save_every and not isinstance(self.summary, MemberSummary):
             every, near = facts.save_every, _checks.nearest_multiples(more, facts.save_every)
             raise ValueError(f"the run has one save per {every} steps: extend it by {near} steps, got {more}")
-        start, saves = self._start_and_saves()
-        options: dict[str, Any] = self._options | {"num_steps": facts.num_steps + more}
-        return run_of_saves(*compute(self.step, start, **options, progress=progress, earlier=saves))
+        return run_of_plan(self._plan(facts.num_steps + more, progress=progress), self._saves)
 
     def save(self, path: str | Path | StoreOptions) -> Run[Saved, Reduced]:
         """Write a run in memory to a new folder NAME.zarr or one file NAME.zip, and return the run there.
@@ -427,40 +426,41 @@ class Run(Generic[Saved, Reduced]):
         """
         if self.facts.source:
             raise ValueError(f"the run is in {self.facts.source} already: copy that, or save run.load()")
-        start, saves = self._start_and_saves()
-        with _checks.on_host():
-            job = checked_job(self.step, start, **self._options, store=path)
-        return stored_run(str(StoreOptions.of(path).path), write(job, self.engine, saves, path), self.step)
+        plan = self._plan(self.facts.num_steps, store=path)
+        return stored_run(str(StoreOptions.of(path).path), write(plan, self.engine, self._saves), self.step)
 
-    def _start_and_saves(self) -> tuple[State, Saves]:
-        """The initial states and the saves of a complete run, with a member axis."""
+    @property
+    def _saves(self) -> Saves:
+        """The saves in memory, with a member axis."""
+        found = self.trajectory if self.summary is None else self.summary
+        saves = Saves(*jax.tree.map(np.asarray, (found, self.failed)))
+        return saves if self.facts.batch else saves_of_batch(saves)
+
+    def _plan(self, num_steps: int, store: str | Path | StoreOptions | None = None, progress: bool = False) -> Plan:
+        """The plan that made the run, with this number of steps of one size and this store."""
+        facts, of_members = self.facts, isinstance(self.summary, MemberSummary)
         start = self.start if self.trajectory is None else jax.tree.map(lambda x: x[0], self.state)
-        if start is None or not self.facts.complete or (self.dt is None and self.times is None):
+        if start is None or not facts.complete or (facts.dt is None and self.times is None):
             raise ValueError(
                 "the run does not have all of its numbers: it is not complete, or was read from a store that lacks the "
                 "function of `reduce` or the times of the steps"
             )
-        found = self.trajectory if self.summary is None else self.summary
-        saves = Saves(*jax.tree.map(np.asarray, (found, self.failed)))
-        return (start, saves) if self.facts.batch else (with_member_axis(start), saves_of_batch(saves))
-
-    @property
-    def _options(self) -> dict[str, Any]:
-        """The arguments of `compute` that made the run, beside step and states."""
-        facts, of_members = self.facts, isinstance(self.summary, MemberSummary)
-        return {
-            "dt": facts.dt,
-            "num_steps": None if facts.dt is None else facts.num_steps,
-            "times": self.times,
-            "save_every": None if of_members else facts.save_every,
-            "save_at": self.t[1:] if facts.save_every is None else None,
-            "per": "member" if of_members else None,
-            "first": plain(self.condition),
-            "step_axis": 0 if facts.own_step else None,
-            "reduce": plain(self.reduction),
-            "batch": facts.batch,
-            "epoch": facts.epoch,
-        }
+        return make_plan(
+            self.step,
+            start,
+            facts.dt,
+            None if facts.dt is None else num_steps,
+            times=self.times,
+            save_every=None if of_members else 1 if facts.save_every is None else facts.save_every,
+            save_at=self.t[1:] if facts.save_every is None else None,
+            own_step=facts.own_step,
+            reduce=plain(self.reduction),
+            per="member" if of_members else None,
+            first=plain(self.condition),
+            epoch=self.epoch,
+            store=store,
+            progress=progress,
+        )
 
     def __repr__(self) -> str:
         return "\n".join(f"{name:<10} {text}" for name, text in lines(self).items())
@@ -476,15 +476,26 @@ class StoredRun(Run):
 
 def stored_run(path: str, saves: Saves, step: Step) -> Run:
     """The run in a store; that of one body is read at once."""
-    return run_of_saves(step, saves, Facts.of_store(path, saves.attributes))
+    return _of_saves(step, saves, Facts.of_store(path, saves.attributes))
 
 
-def run_of_saves(step: Step, saves: Saves, facts: Facts, start: State | None = None, *given: Any) -> Run:
+def run_of_plan(plan: Plan, earlier: Saves | None = None) -> Run:
+    """The run that a plan makes; `earlier` are the saves in memory of a run that it continues."""
+    own, saves, engine = compute(plan, earlier)
+    if own.store is not None:
+        return stored_run(str(address(own.store.path)), saves, own.step)
+    functions = [None if f is None else callable_pytree(f) for f in (own.reduction, own.condition)]
+    times = own.clock.times if isinstance(own.clock, GridClock) else None
+    start = None if own.reduction is None else own.states
+    return _of_saves(own.step, saves, Facts.of_plan(own, engine), start, *functions, times)
+
+
+def _of_saves(step: Step, saves: Saves, facts: Facts, start: State | None = None, *given: Any) -> Run:
     """The run of these saves, which have a member axis also if it is of one body; `given` are its further fields."""
     found, failed = saves.found, saves.failed
     if not facts.batch:
         found, failed = member_of(found, 0), failed[0]
-        start = jax.tree.map(lambda x: x[0] if np.ndim(x) else x, start)
+        start = jax.tree.map(lambda x: x[0], start)
     shown = (found, None) if isinstance(found, Trajectory) else (None, found)
     kind: Any = StoredRun if facts.source else Run
     return kind(step, start, *shown, failed, *(given or [None] * 3), facts)

@@ -4,27 +4,27 @@ from __future__ import annotations
 
 import os
 import shutil
+from dataclasses import replace
 from functools import partial
-from pathlib import Path
 
 import jax
 import numpy as np
 
-from lieint_jax.runs._job import devices
 from lieint_jax.runs._job.engine import Engine
-from lieint_jax.runs._job.job import Job
 from lieint_jax.runs._job.memory_output import rows_and_carry
+from lieint_jax.runs._plan import Plan
 from lieint_jax.runs._storage.leaves import Saves
-from lieint_jax.runs._storage.storage import StoreOptions, Url, checked_path
+from lieint_jax.runs._storage.storage import Url, checked_path
 from lieint_jax.runs._storage.zipped import zip_folder
 from lieint_jax.runs.store._into_store import run_into_store
 from lieint_jax.runs.store._reading import read_written
 from lieint_jax.runs.store._store_output import StoreOutput
 
 
-def write(job: Job, engine: str, saves: Saves, store: str | Path | StoreOptions) -> Saves:
+def write(plan: Plan, engine: str, saves: Saves) -> Saves:
     """The run of these saves, which an engine of this name computed, written into a new store: all of it or nothing."""
-    options = StoreOptions.of(store)
+    options = plan.store
+    assert options is not None
     path = checked_path(options.path, file=True)
     if isinstance(path, Url):
         raise ValueError(
@@ -35,8 +35,8 @@ def write(job: Job, engine: str, saves: Saves, store: str | Path | StoreOptions)
     unfinished = path.with_name(f".{path.name}.{os.getpid()}.zarr")
     packed = unfinished.with_suffix(".zip")
     try:
-        hidden, mesh = options._replace(path=unfinished), devices.checked_mesh(None)
-        run_into_store(job, Engine(job, engine, 1), hidden, partial(_feed, job, saves), whole=job, mesh=mesh)
+        hidden = replace(plan, store=options._replace(path=unfinished))
+        run_into_store(hidden, Engine(hidden, engine), partial(_feed, hidden, saves))
         if path.suffix == ".zip":
             zip_folder(unfinished, packed)
         os.rename(packed if path.suffix == ".zip" else unfinished, path)
@@ -46,13 +46,13 @@ def write(job: Job, engine: str, saves: Saves, store: str | Path | StoreOptions)
     return read_written(path)
 
 
-def _feed(job: Job, saves: Saves, output: StoreOutput) -> None:
+def _feed(plan: Plan, saves: Saves, output: StoreOutput) -> None:
     """Give an output all saves of a run. Its checkpoints are of the end, for nobody resumes an unfinished copy."""
-    rows, carry = rows_and_carry(job, saves)
+    rows, carry = rows_and_carry(plan, saves)
     saved = 0
-    while saved <= job.num_saves:
-        number = min(output.free_rows, job.num_saves + 1 - saved)
+    while saved <= plan.num_saves:
+        number = min(output.free_rows, plan.num_saves + 1 - saved)
         output.append(jax.tree.map(lambda x: np.asarray(x)[saved : saved + number], rows), number)  # noqa: B023
         saved += number
-        output.checkpoint(carry, int(job.nodes[saved - 1]), 0.0, stop=False)
+        output.checkpoint(carry, int(plan.nodes[saved - 1]), 0.0, stop=False)
     output.result(carry)

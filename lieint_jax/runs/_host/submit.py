@@ -19,10 +19,10 @@ from lieint_jax._checks import count
 from lieint_jax.runs._host.execute import Bar, warn_of_failures
 from lieint_jax.runs._host.make_run import OptionsOfParts, run, untransformed
 from lieint_jax.runs._host.run import Run, stored_run
-from lieint_jax.runs._job.job import MemberSummary, Summary
 from lieint_jax.runs._job.loop import Reduction
 from lieint_jax.runs._job.made_states import MakeStates
 from lieint_jax.runs._storage.storage import StoreOptions, address
+from lieint_jax.runs._summary import MemberSummary, Summary
 from lieint_jax.runs.store._reading import read_run
 from lieint_jax.types import State, Step, Trajectory
 

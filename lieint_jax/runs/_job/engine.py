@@ -9,12 +9,11 @@ from __future__ import annotations
 
 import logging
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 from functools import cached_property
-from typing import Any
 
 import jax
 import numpy as np
-from jax.sharding import Mesh
 
 from lieint_jax import native
 from lieint_jax._xla import reads
@@ -22,10 +21,10 @@ from lieint_jax.native import UnsupportedError, computed_by, unsupported_if_it_f
 from lieint_jax.runs._job import devices, loop
 from lieint_jax.runs._job.devices import Numbers, Tree
 from lieint_jax.runs._job.digests import OfMember, digest_or_reason
-from lieint_jax.runs._job.job import Job
 from lieint_jax.runs._job.loop import Axes, Carry, Given, MemberLoop, Reduction, Span
-from lieint_jax.runs._march.clock import Clock, GridClock, power_of_two
+from lieint_jax.runs._march.clock import Clock, GridClock, UniformClock, power_of_two
 from lieint_jax.runs._march.driver import prepared
+from lieint_jax.runs._plan import Plan
 from lieint_jax.types import State, Step
 
 _log = logging.getLogger(__name__)
@@ -36,47 +35,46 @@ _ROUNDING = ("residual",)  # results that are nothing but rounding errors
 _MOST_SHARED = 200_000  # the most numbers shared by all members in a call: each thread holds them in memory
 
 
-def engine_of(job: Job, mesh: Mesh, threads: int) -> Engine:
+def engine_of(plan: Plan) -> Engine:
     """The engine of a run: machine code on a CPU, a kernel on a GPU, XLA's loop where neither is possible."""
-    on_cpu = mesh.devices.flat[0].platform == "cpu"
+    on_cpu, name = plan.mesh.devices.flat[0].platform == "cpu", plan.step.name
     if native.engine_name() == "xla":
-        _log.info("XLA runs %s: LIEINT_ENGINE or li.engine selects it", job.step.name)
-        return Engine(job, "xla", threads)
-    engine = Engine(job, "native" if on_cpu else "kernel", threads)
+        _log.info("XLA runs %s: LIEINT_ENGINE or li.engine selects it", name)
+        return Engine(plan, "xla")
+    engine = Engine(plan, "native" if on_cpu else "kernel")
     reason = engine.refusal
     if not reason:
-        what = f"machine code, in {threads} thread(s)," if on_cpu else "a kernel of the GPU"
-        _log.info("%s runs %s: it computes every operation of the step", what, job.step.name)
+        what = f"machine code, in {plan.threads} thread(s)," if on_cpu else "a kernel of the GPU"
+        _log.info("%s runs %s: it computes every operation of the step", what, name)
         return engine
     if on_cpu:
-        warn_once(job.step.name, reason)
+        warn_once(name, reason)
     else:
-        _log.info("XLA runs %s: %s", job.step.name, reason)
-    return Engine(job, "xla", threads)
+        _log.info("XLA runs %s: %s", name, reason)
+    return Engine(plan, "xla")
 
 
 class Engine:
     """The compiled functions of a run.
 
     Args:
-        job: the run.
+        plan: the run.
         name: of the engine of its loops: "native" (machine code), "kernel" (of a GPU) or "xla".
-        threads: the number of threads of machine code.
     """
 
-    def __init__(self, job: Job, name: str, threads: int):
-        self.job, self.name, self._threads = job, name, threads
-        self.prepares = job.step.prepares and not isinstance(job.clock, GridClock)
-        own, of_time = job.step_axis, 0 if job.own_times else None
-        reduced = None if job.reduction is None else 0
-        self._plain: Axes = Given(own, None, of_time, None, None)  # pyright: ignore[reportArgumentType]
-        self._axes = 0, Given(0 if self.prepares else own, own, of_time, None, reduced)  # pyright: ignore[reportArgumentType]
-        self._loop = self._made(job.reduction, job.condition)
+    def __init__(self, plan: Plan, name: str):
+        self.plan, self.name = plan, name
+        self.prepares = plan.step.prepares and not isinstance(plan.clock, GridClock)
+        own, reduced = 0 if plan.own_step else None, None if plan.reduction is None else 0
+        clock: Axes = UniformClock(0, None, None) if plan.own_times else None  # pyright: ignore[reportArgumentType]
+        self._plain: Axes = Given(own, None, clock, None)  # pyright: ignore[reportArgumentType]
+        self._axes = 0, Given(0 if self.prepares else own, own, clock, reduced)  # pyright: ignore[reportArgumentType]
+        self._loop = self._made(plan.reduction, plan.condition)
 
     @cached_property
     def _known(self) -> tuple[str, int]:
         """What `Learned.engines` has of this engine; nothing refuses a run by XLA or of no steps."""
-        if self.name == "xla" or not self.job.num_steps:
+        if self.name == "xla" or not self.plan.num_steps:
             return "", 0
         known = self._loop.learned.engines
         if self.name not in known:
@@ -96,19 +94,20 @@ class Engine:
 
     def _made(self, *what: Reduction | None) -> MemberLoop:
         """The loop of a run that reduces this quantity until this condition, made once."""
-        job, axes = self.job, self._axes
+        plan, axes = self.plan, self._axes
         if what[0] is None:
             axes = axes[0], axes[1]._replace(quantity=None)
-        rests = None if job.rests is None else job.rests[:0]  # their number makes no difference
-        examples = *self._of_one_member(), job.clock, rests
+        rests = None if plan.rests is None else plan.rests[:0]  # their number makes no difference
+        examples = *self._of_one_member(), rests
         return native.make_once(MemberLoop, what, axes, examples, reads(*what, jax.tree.structure(examples)))
 
-    def _of_one_member(self) -> tuple[Step, State, Numbers | None]:
-        """The step of a member, its initial state and its time; what each member has of its own is a shape."""
-        job = self.job
-        step = job.step if job.step_axis is None else jax.tree.map(_member_shape, job.step)
-        t0: Any = _member_shape(job.t0) if job.own_times else job.t0  # pyright: ignore
-        return step, jax.tree.map(_member_shape, job.states), t0
+    def _of_one_member(self) -> tuple[Step, State, Clock]:
+        """The step of a member, its initial state and its clock; what each member has of its own is a shape."""
+        plan, clock = self.plan, self.plan.members_clock
+        step = jax.tree.map(_member_shape, plan.step) if plan.own_step else plan.step
+        if plan.own_times:
+            clock = clock._replace(t0=_member_shape(clock.t0))  # pyright: ignore
+        return step, jax.tree.map(_member_shape, plan.states), clock
 
     @property
     def equations(self) -> dict[str, str | None]:
@@ -117,22 +116,19 @@ class Engine:
         Those of the step are of the loop that the run compiles, which JAX has traced; only a run with `reduce` traces
         its step once more.
         """
-        job, made = self.job, self._made(None, None)
-        plain, state, t0 = self._of_one_member()
-        at_start: Any = state if t0 is None else state._replace(t=jax.ShapeDtypeStruct((), job.dtype))
-        examples = plain, at_start, job.clock
-        of_time = 0 if job.own_times else None
-        axes = job.step_axis, jax.tree.map(lambda _: 0, at_start)._replace(t=of_time), None
-        with computed_by(self.name, self._threads):
+        plan, made = self.plan, self._made(None, None)
+        plain, state, clock = examples = self._of_one_member()
+        axes: Axes = 0 if plan.own_step else None, jax.tree.map(lambda _: 0, state), self._plain.clock
+        with computed_by(self.name, self.plan.threads):
             if made.learned.equations is None:
-                given, programs = Given(plain, None, t0, job.clock, None), []
+                given, programs = Given(plain, None, clock, None), []
                 if self.prepares:
                     step, program = _with_constants(examples, axes)
                     given, programs = given._replace(step=step, plain=plain), [program]
-                interval = made.traced(*loop.shapes_of_interval(state, job.rests is not None), given)
+                interval = made.traced(*loop.shapes_of_interval(state, plan.rests is not None), given)
                 made.learned.equations = digest_or_reason(*programs, interval)
             found: dict[str, str | None] = {"equations of the step": made.learned.equations}
-            for name, f in {"equations of reduce": job.reduction, "equations of first": job.condition}.items():
+            for name, f in {"equations of reduce": plan.reduction, "equations of first": plan.condition}.items():
                 read = reads(f, jax.tree.structure(examples))
                 found[name] = f and native.make_once(_equations_of, f, (self.prepares, axes), examples, read)
             return found
@@ -140,9 +136,9 @@ class Engine:
     def _examined(self) -> tuple[str, int]:
         """What `Learned.engines` has of this engine."""
         arguments = self._first_step()
-        blocks = [slice(0, 1), slice(1, 2)] if self.job.members == 1 else [slice(None)]  # one member has its own code
+        blocks = [slice(0, 1), slice(1, 2)] if self.plan.members == 1 else [slice(None)]  # one member has its own code
         parts = [self._members(arguments, block) for block in blocks]
-        with computed_by(self.name, self._threads):
+        with computed_by(self.name, self.plan.threads):
             [loop] = native.loops_of(self._loop.of_all.trace(*parts[0]).jaxpr)
             assert loop is not None
             code = native.machine_code(loop)
@@ -152,13 +148,13 @@ class Engine:
 
     def _first_step(self) -> tuple[Tree, ...]:
         """The arguments of a first step of a few members."""
-        job = _few_members(self.job)
-        given = self._given(job.step, job.t0, job.states)
-        value = None if job.reduction is None else np.zeros(job.members, job.dtype)
+        few = _few_members(self.plan)
+        given = self._given(few.step, few.members_clock, few.states)
+        value = None if few.reduction is None else np.zeros(few.members, few.dtype)
         ends = np.ones(2, loop.step_dtype())
-        rests = None if job.rests is None else np.full(ends.shape, job.first_dt / 2, job.dtype)
+        rests = None if few.rests is None else np.full(ends.shape, few.first_dt / 2, few.dtype)
         spans = Span(0 * ends, ends, rests, np.ones(ends.shape, bool))
-        carry = loop.start(job.states, job.first_change(value, None))
+        carry = loop.start(few.states, few.first_change(value, None))
         return carry, given._replace(quantity=value), spans, np.int32(1)
 
     def _members(self, arguments: tuple[Tree, ...], which: int | slice) -> tuple[Tree, ...]:
@@ -181,7 +177,7 @@ class Engine:
             return carry, given, jax.tree.map(lambda x: x[0], spans)
 
         try:
-            with unsupported_if_it_fails(), computed_by(self.name, self._threads):
+            with unsupported_if_it_fails(), computed_by(self.name, self.plan.threads):
                 ours = [self._loop.of_all(*part) for part in parts]
                 members = range(sum(len(carry.failed) for carry, _ in ours))
                 theirs = self._loop.by_xla(map(of_member, members))
@@ -196,29 +192,30 @@ class Engine:
                 return f"in machine code a first step differs in {name}"
         return ""
 
-    def start(self, mesh: Mesh) -> tuple[Given, Carry]:
-        """What is given for the members, and their carry, on the devices of a mesh."""
-        job = self.job
-        step = devices.placed(mesh, job.step, own=job.step_axis is not None)
-        states = devices.placed(mesh, job.states)
-        t0 = devices.placed(mesh, job.t0, own=job.own_times)
-        given = self._given(step, t0, states)
-        if job.reduction is None:
+    def start(self) -> tuple[Given, Carry]:
+        """What is given for the members, and their carry, on the devices of the plan."""
+        plan = self.plan
+        step = devices.placed(plan.mesh, plan.step, own=plan.own_step)
+        states, clock = devices.placed(plan.mesh, plan.states), plan.members_clock
+        if plan.own_times:
+            clock = clock._replace(t0=states.t)  # pyright: ignore
+        given = self._given(step, clock, states)
+        if plan.reduction is None:
             return given, loop.start(states, None)
-        value = self.quantity(job.reduction, given, states, 0)
-        reached = None if job.condition is None else self.quantity(job.condition, given, states, 0)
-        return given._replace(quantity=value), loop.start(states, job.first_change(value, reached))
+        value = self.quantity(plan.reduction, given, states)
+        reached = None if plan.condition is None else self.quantity(plan.condition, given, states)
+        return given._replace(quantity=value), loop.start(states, plan.first_change(value, reached))
 
-    def _given(self, step: Step, t0: Numbers | None, states: State) -> Given:
-        """What is given for members of these steps and initial states."""
-        given = Given(step, None, t0, self.job.clock, None)
-        return given._replace(step=self.quantity(None, given, states, 0), plain=step) if self.prepares else given
+    def _given(self, step: Step, clock: Clock, states: State) -> Given:
+        """What is given for members of these steps, clocks and initial states."""
+        given = Given(step, None, clock, None)
+        return given._replace(step=self.quantity(None, given, states), plain=step) if self.prepares else given
 
-    def quantity(self, function: Reduction | None, given: Given, states: State, n: int) -> Tree:
-        """A function of step and state at node n, for all members; without one the step with its constants."""
+    def quantity(self, function: Reduction | None, given: Given, states: State) -> Tree:
+        """A function of step and state, for all members; without one the step with its constants."""
         plain = given._replace(step=given.step if given.plain is None else given.plain, plain=None, quantity=None)
-        with computed_by(self.name, self._threads):
-            return loop.of_members(function, self._plain)(plain, states, np.asarray(n, loop.step_dtype()))
+        with computed_by(self.name, self.plan.threads):
+            return loop.of_members(function, self._plain)(plain, states)
 
     def run_intervals(
         self, given: Given, carry: Carry, done: int, saved: int, ends: np.ndarray, rows: int
@@ -227,14 +224,14 @@ class Engine:
 
         Before them there were `done` steps, and `saved` entries after the start.
         """
-        dtype, rests, count = loop.step_dtype(), self.job.rests, len(ends)
+        dtype, rests, count = loop.step_dtype(), self.plan.rests, len(ends)
         first = np.concatenate([[done], ends[:-1]]).astype(dtype)
-        begins = (np.arange(count) > 0) | (done == self.job.nodes[saved])
+        begins = (np.arange(count) > 0) | (done == self.plan.nodes[saved])
         if rests is not None:
-            rests = np.resize(rests[saved + 1 :], count).astype(self.job.dtype)
+            rests = np.resize(rests[saved + 1 :], count).astype(self.plan.dtype)
         rows = rows if self.name == "xla" else power_of_two(rows)  # XLA's loops fill all rows
         spans = jax.tree.map(lambda x: np.resize(x, rows), Span(first, ends.astype(dtype), rests, begins))
-        with computed_by(self.name, self._threads):
+        with computed_by(self.name, self.plan.threads):
             return jax.block_until_ready(self._loop.of_all(carry, given, spans, np.int32(count)))
 
 
@@ -267,10 +264,10 @@ def _member_shape(x: Numbers) -> jax.ShapeDtypeStruct:
     return jax.ShapeDtypeStruct(np.shape(x)[1:], x.dtype)
 
 
-def _few_members(job: Job) -> Job:
-    """The job of a few members and of a copy of each of them that differs by rounding."""
-    chosen = np.unique(np.linspace(0, job.members - 1, _FEW).astype(int))
-    few, n = job.select(np.tile(chosen, 2)), len(chosen)
+def _few_members(plan: Plan) -> Plan:
+    """The plan of a few members and of a copy of each of them that differs by rounding."""
+    chosen = np.unique(np.linspace(0, plan.members - 1, _FEW).astype(int))
+    few, n = plan.select(np.tile(chosen, 2)), len(chosen)
 
     def changed(x: np.ndarray) -> np.ndarray:
         if x.dtype.kind == "f":
@@ -279,7 +276,7 @@ def _few_members(job: Job) -> Job:
             x[n:] += (_CHANGE * np.finfo(x.dtype).eps * largest * pattern).astype(x.dtype)
         return x
 
-    return few._replace(states=jax.tree.map(changed, few.states), make_states=None, part=None)
+    return replace(few, states=jax.tree.map(changed, few.states)._replace(t=few.states.t))
 
 
 def _agree(ours: np.ndarray, theirs: np.ndarray, changed: np.ndarray) -> bool:

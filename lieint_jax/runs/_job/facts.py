@@ -15,8 +15,9 @@ from lieint_jax import dates
 from lieint_jax._checks import concrete
 from lieint_jax._version import __version__
 from lieint_jax._xla import remembered, rereading_jit
-from lieint_jax.runs._job.job import Job, MemberSummary, list_members
+from lieint_jax.runs._plan import Plan, list_members
 from lieint_jax.runs._storage.leaves import Table
+from lieint_jax.runs._summary import MemberSummary
 from lieint_jax.types import State, Step, Trajectory, leaves_by_name, periods_of
 
 _version = cache(version)  # which reads a file
@@ -54,17 +55,17 @@ class Facts(NamedTuple):
     time_unit: str = "1"
 
     @classmethod
-    def of_job(cls, job: Job, engine: str) -> Facts:
+    def of_plan(cls, plan: Plan, engine: str) -> Facts:
         """Those of a run in memory that this engine has computed."""
         return cls(
-            batch=job.batch,
-            own_step=job.step_axis == 0,
-            dt=job.dt,
-            num_steps=job.planned_steps,
-            save_every=job.save_every,
+            batch=plan.batch,
+            own_step=plan.own_step,
+            dt=plan.dt,
+            num_steps=plan.planned_steps,
+            save_every=plan.save_every,
             engine=engine,
             versions=tuple(package_versions().items()),
-            epoch=job.epoch,
+            epoch=plan.epoch,
         )
 
     @classmethod
@@ -73,7 +74,7 @@ class Facts(NamedTuple):
         described = attributes["run"]
         return cls(
             batch=attributes["batch"],
-            own_step=described["step_axis"] == 0,
+            own_step=described["own_step"],
             dt=attributes["dt"],
             num_steps=described["num_steps"],
             save_every=attributes["save_every"],

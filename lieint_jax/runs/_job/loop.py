@@ -13,13 +13,12 @@ import jax.numpy as jnp
 import numpy as np
 from jax import Array, lax
 from jax.extend.core import jaxpr_as_fun
-from jax.typing import ArrayLike
 
 from lieint_jax import native
 from lieint_jax._xla import compiled, remembered, rereading_jit
 from lieint_jax.runs._job.devices import Numbers, Tree, on_host
 from lieint_jax.runs._job.digests import OfMember
-from lieint_jax.runs._march.clock import Clock, GridClock, UniformClock
+from lieint_jax.runs._march.clock import Clock, at_time
 from lieint_jax.runs._march.driver import prepared
 from lieint_jax.types import State, Step, StepInfo, energy_less_work
 
@@ -78,7 +77,7 @@ class Carry(NamedTuple):
     """The values that a run carries from one step to the next, for one member, or with the member axis first.
 
     Attributes:
-        state: the states, without their time, which follows from the number of steps unless the step has its own.
+        state: the states.
         info: the merged `StepInfo` since the last save.
         failed: the first step that did not converge, or −1.
         change: of the reduced quantity; None if nothing is reduced.
@@ -96,32 +95,14 @@ class Given(NamedTuple):
     Attributes:
         step: the step; with its constants for steps of one size if the run prepares it.
         plain: the step without them, for shorter steps to outputs; None if it is the same step.
-        t0: the time of the initial states: a scalar if the members share it, else one for each. None if they have no
-            time, or if the step has a time of its own, which then is part of the state.
-        clock: the times of the steps; for steps of one size its t0 is not used.
+        clock: the times of the steps, in which t₀ is that of the member if members start at different times.
         quantity: the reduced quantity of the initial states; None if nothing is reduced.
     """
 
     step: Step
     plain: Step | None
-    t0: Numbers | None
     clock: Clock
     quantity: Numbers | None
-
-    def add_time(self, n: ArrayLike, state: State) -> State:
-        """The state with the time of node n, if states have a time."""
-        return state if self.t0 is None else state._replace(t=self.own_clock.time(n))
-
-    def remove_time(self, state: State) -> State:
-        """The state without a time that follows from the number of steps."""
-        return state if self.t0 is None else state._replace(t=None)
-
-    @property
-    def own_clock(self) -> Clock:
-        """The clock of a member, which begins at the time of its initial state."""
-        if isinstance(self.clock, GridClock):
-            return self.clock
-        return UniformClock(None, self.clock.dt) if self.t0 is None else self.clock._replace(t0=self.t0)
 
 
 class Span(NamedTuple):
@@ -203,21 +184,20 @@ def compiler_options(platform: str | None = None) -> dict[str, str | int]:
 
 
 @remembered(32)
-def of_members(function: Reduction | None, axes: Axes) -> Callable[[Given, State, Numbers], Tree]:
-    """A function of step and state at node n, compiled for all members: (given, states, n) ↦ its values.
+def of_members(function: Reduction | None, axes: Axes) -> Callable[[Given, State], Tree]:
+    """A function of step and state, compiled for all members: (given, states) ↦ its values.
 
     Without a function it is the step with its constants. `axes` are the member axes of what is given.
     """
 
-    def of_member(given: Given, state: State, n: Array) -> Tree:
-        state = given.add_time(n, state)
+    def of_member(given: Given, state: State) -> Tree:
         return prepared(given.step, state, given.clock) if function is None else function(given.step, state)
 
     def by_one_step(*arguments: Tree) -> Tree:
         found = native.march(lambda n, carry, _: (carry, of_member(*arguments)), (), rows=1)[1]
         return jax.tree.map(lambda x: x[0], found)
 
-    return rereading_jit(jax.vmap(by_one_step, (axes, 0, None)), compiler_options=compiler_options())
+    return rereading_jit(jax.vmap(by_one_step, (axes, 0)), compiler_options=compiler_options())
 
 
 @dataclass
@@ -271,7 +251,7 @@ class MemberLoop:
 
     def _interval(self, _: Array, carry: Carry, span: Span, given: Given) -> tuple[Carry, Tree]:
         """A save interval of one member."""
-        step, clock, change = given.step, given.own_clock, carry.change
+        step, clock, change = given.step, given.clock, carry.change
         fresh = StepInfo.empty(carry.info.residual), change
         if change is not None and not change.per_member:
             fresh = fresh[0], Change.empty(change.total)
@@ -279,27 +259,30 @@ class MemberLoop:
             lambda new, old: jnp.where(span.begins, new, old), fresh, (carry.info, carry.change)
         )
 
+        def at_node(n: Numbers, state: State) -> State:
+            # Its time is computed from n: where members share it, what depends on it alone is computed once for all.
+            return state if state.t is None else at_time(state, clock.time(n))
+
         def step_once(n: Array, carry: tuple[Carry, Tree]) -> tuple[Carry, Tree]:
             at, known = carry
-            end, info, known = step.continued(given.add_time(n, at.state), clock.size(n), known)
-            state, failed = given.remove_time(end), _first_failure(at.failed, n, info)
-            return Carry(state, at.info.merge(info), failed, self._changed(n + 1, state, at.change, given)), known
+            end, info, known = step.continued(at_node(n, at.state), clock.size(n), known)
+            end, failed = at_node(n + 1, end), _first_failure(at.failed, n, info)
+            return Carry(end, at.info.merge(info), failed, self._changed(n + 1, end, at.change, given)), known
 
-        start = carry._replace(info=info, change=change), step.known_at(given.add_time(span.first, carry.state))
+        start = carry._replace(info=info, change=change), step.known_at(at_node(span.first, carry.state))
         after, _ = lax.fori_loop(span.first, span.end, step_once, start)
         output, worst, failed = after.state, after.info, after.failed
         if span.rest is not None:
             plain = step if given.plain is None else given.plain
-            output, last = plain(given.add_time(span.end, after.state), span.rest)
-            output, worst = given.remove_time(output), worst.merge(last)
-            failed = _first_failure(failed, span.end, last)
-        return after._replace(failed=failed), (worst, output if self._reduction is None else after.change)
+            output, last = plain(at_node(span.end, after.state), span.rest)
+            worst, failed = worst.merge(last), _first_failure(failed, span.end, last)
+        saved = output if step.own_time else output._replace(t=None)  # the plan knows the times of all saves
+        return after._replace(failed=failed), (worst, saved if self._reduction is None else after.change)
 
     def _changed(self, n: Array, state: State, change: Change | None, given: Given) -> Change | None:
         """What is known of the reduced quantity at node n, where `state` is."""
         if self._reduction is None or change is None or given.quantity is None:
             return change
-        state = given.add_time(n, state)
         value = self._reduction(given.step, state)
         if not change.per_member:
             return change.include(value - given.quantity)

@@ -72,7 +72,7 @@ ARRAY_KEYS = {"shape": LENGTHS, "data_type": _TEXT_OR_TABLE, "codecs": _TABLES, 
 RUN_KEYS = {
     "versions": _Kind(lambda x: isinstance(x, dict) and all(map(_TEXT.accepts, x.values())), "a table of text"),
     "device": _TEXT,
-    "step_axis": _Kind(lambda x: x is None or (_is_count(x) and x == 0), "null or 0"),
+    "own_step": _FLAG,
     "engine": _TEXT,
     "epoch": _Kind(_is_date, "a date with a scale, or null"),
     "compiler_options": _TABLE,

@@ -71,8 +71,7 @@ class StoreOptions(NamedTuple):
 
     Attributes:
         path: a folder or a URL, whose name ends in .zarr; for `run.save` a folder, or one file NAME.zip.
-        attributes: values for JSON, such as a title. The key "scenario" describes the run: a run with another scenario
-            cannot resume it.
+        attributes: values for JSON, such as a title.
         time_unit: the unit of dt.
     """
 

@@ -15,9 +15,9 @@ import jax
 from lieint_jax.runs._job.digests import digest_of_arrays, digest_of_states, reason_of
 from lieint_jax.runs._job.engine import Engine
 from lieint_jax.runs._job.facts import package_versions
-from lieint_jax.runs._job.job import Job
 from lieint_jax.runs._job.loop import compiler_options
 from lieint_jax.runs._march.clock import GridClock
+from lieint_jax.runs._plan import Plan
 from lieint_jax.runs._storage.leaves import Table
 from lieint_jax.runs._storage.storage import Address
 
@@ -26,39 +26,37 @@ _EQUATIONS = ("equations of the step", "equations of reduce", "equations of firs
 _DIGESTS = (*_EQUATIONS, "numbers of the step", "initial states", "times of the steps", "times of save_at")
 
 
-def description(job: Job, engine: Engine, scenario: object = None) -> Table:
+def description(plan: Plan, engine: Engine) -> Table:
     """Everything that the bits of a run depend on, as read back from JSON. A run is resumed only if all of it is equal.
 
     Args:
-        job: the run.
+        plan: the run, of all members.
         engine: computes it, or one of its parts.
-        scenario: the table that the run was made from, or None.
     """
     flags = [f for f in os.environ.get("XLA_FLAGS", "").split() if "force_host_platform_device_count" not in f]
     described = {
-        "scheme": job.step.name,
-        "system": type(job.step.system).__name__,
+        "scheme": plan.step.name,
+        "system": type(plan.step.system).__name__,
         **engine.equations,
-        "numbers of the step": digest_of_arrays(*jax.tree.leaves(job.step)),
-        "initial states": digest_of_states(job.initial) if job.make_states is None else None,
-        "states that the function makes": None if job.make_states is None else job.make_states.digest(),
-        "members": job.members,
-        "dt": job.dt,
-        "num_steps": job.planned_steps,
-        "save_every": job.save_every,
-        "times of the steps": digest_of_arrays(job.clock.times) if isinstance(job.clock, GridClock) else None,
-        "times of save_at": None if job.rests is None else digest_of_arrays(job.times),
-        "step_axis": job.step_axis,
-        "reduce": getattr(job.reduction, "__name__", "a function") if job.reduction is not None else None,
-        "per": "member" if job.per_member else None,
-        "epoch": job.epoch or None,
-        "dtype": str(job.dtype),
+        "numbers of the step": digest_of_arrays(*jax.tree.leaves(plan.step)),
+        "initial states": digest_of_states(plan.states) if plan.make_states is None else None,
+        "states that the function makes": None if plan.make_states is None else plan.make_states.digest(),
+        "members": plan.members,
+        "dt": plan.dt,
+        "num_steps": plan.planned_steps,
+        "save_every": plan.save_every,
+        "times of the steps": digest_of_arrays(plan.clock.times) if isinstance(plan.clock, GridClock) else None,
+        "times of save_at": None if plan.rests is None else digest_of_arrays(plan.times),
+        "own_step": plan.own_step,
+        "reduce": getattr(plan.reduction, "__name__", "a function") if plan.reduction is not None else None,
+        "per": "member" if plan.per_member else None,
+        "epoch": plan.epoch or None,
+        "dtype": str(plan.dtype),
         "versions": package_versions(),
         "engine": engine.name,
         "compiler_options": compiler_options() if engine.name == "xla" else {},
         "XLA_FLAGS": " ".join(flags),
         "device": device(),
-        "scenario": scenario,
     }
     return json.loads(json.dumps(described))
 

@@ -6,14 +6,11 @@ import contextlib
 from collections.abc import Callable
 from functools import partial
 
-from jax.sharding import Mesh
-
 from lieint_jax.runs._job.digests import digest_of_states
 from lieint_jax.runs._job.dyadic_sum import blocks
 from lieint_jax.runs._job.engine import Engine
-from lieint_jax.runs._job.job import Job
-from lieint_jax.runs._job.make_job import split_into_parts
 from lieint_jax.runs._job.split import Split
+from lieint_jax.runs._plan import Plan
 from lieint_jax.runs._storage.files import open_storage
 from lieint_jax.runs._storage.leaves import Saves, Table
 from lieint_jax.runs._storage.storage import Storage, StoreOptions, check_json, checked_path
@@ -27,43 +24,26 @@ from lieint_jax.runs.store._store_output import StoreOutput
 from lieint_jax.runs.store._writer import Writer, join, skeleton
 
 
-def run_into_store(
-    job: Job,
-    engine: Engine,
-    options: StoreOptions,
-    integrate: Callable[[StoreOutput], object],
-    *,
-    whole: Job,
-    mesh: Mesh,
-    part: tuple[int, int] = (0, 1),
-    in_parts: bool = False,
-    resume: bool = False,
-    same_bits: bool = True,
-) -> Saves:
+def run_into_store(whole: Plan, engine: Engine, integrate: Callable[[StoreOutput], object]) -> Saves:
     """Let `integrate` fill a part of a store, from its start or its last commit, and return the results of its members.
 
     The first part to come creates the store; every part checks that the store is that of its own run.
 
     Args:
-        job: that of the part.
-        engine: computes it.
-        options: the store.
+        whole: the plan of all members.
+        engine: computes the plan of this process.
         integrate: fills an output.
-        whole: the job of all members.
-        mesh: the devices.
-        part: (k, n), part k of n.
-        in_parts: whether other parts, or other processes into the same bucket, may write at the same time.
-        resume: continue a store that exists.
-        same_bits: only where it was begun on a machine of the same kind.
     """
-    k, count = part
-    storage = open_storage(checked_path(options.path))
-    split = split_into_parts(whole, count, storage.is_remote)
+    plan, options = engine.plan, whole.store
+    assert options is not None
+    k = 0 if whole.part is None else whole.part[0]
+    storage, split = open_storage(checked_path(options.path)), whole.split()
+    in_parts = whole.part is not None or storage.is_remote  # other processes may write at the same time
     check_json(options.attributes)
-    described = _identity.description(whole, engine, options.attributes.get("scenario"))
+    described = _identity.description(whole, engine)
     first_files = partial(_skeleton, whole, options, described, split, in_parts, storage.is_remote)
     exists = storage.has_store()
-    if exists and not resume:
+    if exists and not whole.resume:
         raise ValueError(
             f"{storage.address.name} exists and is not overwritten; resume continues it, or choose another store"
         )
@@ -71,15 +51,15 @@ def run_into_store(
         if not in_parts:  # whose other parts must be comparable
             _identity.warn_of_no_resume(described)
         exists = not _is_created(storage, first_files(), in_parts)
-    root = _root_of(storage, described if exists or in_parts else None, split, in_parts, same_bits)
+    root = _root_of(storage, described if exists or in_parts else None, split, in_parts, whole.same_bits)
     with contextlib.ExitStack() as stack:
         stack.enter_context(root.storage.lock(root.folder(k)))
         if in_parts:
             join(root, first_files())
-        initial, machine = digest_of_states(job.initial), _identity.machine_of(described)
-        writer = stack.enter_context(contextlib.closing(Writer(root, k, initial, machine, same_bits)))
+        initial, machine = digest_of_states(plan.states), _identity.machine_of(described)
+        writer = stack.enter_context(contextlib.closing(Writer(root, k, initial, machine, whole.same_bits)))
         if not writer.progress["complete"]:
-            integrate(StoreOutput(job, mesh, writer))
+            integrate(StoreOutput(plan, writer))
         progress = writer.progress
     return read_part(root, k, progress)
 
@@ -110,26 +90,27 @@ def _root_of(storage: Storage, described: Table | None, split: Split, in_parts: 
 
 
 def _skeleton(
-    job: Job, options: StoreOptions, described: Table, split: Split, in_parts: bool, remote: bool
+    plan: Plan, options: StoreOptions, described: Table, split: Split, in_parts: bool, remote: bool
 ) -> dict[str, bytes]:
-    """The files that a store begins with; `job` is that of all members."""
-    largest = job.restricted(max(map(split.part, range(split.parts)), key=len))
+    """The files that a store begins with; `plan` is that of all members."""
+    members = max(map(split.part, range(split.parts)), key=len)
+    largest = plan.select(slice(members.start, members.stop))
     rows = largest.buffer_rows(split.chunk, remote)
-    description, numbers = describe(job.step)
-    attributes = attributes_of(job, options, described, split.chunk, rows)
+    description, numbers = describe(plan.step)
+    attributes = attributes_of(plan, options, described, split.chunk, rows)
     attributes |= {"format": FORMAT, "constants": sorted(numbers), "description": description}
-    axes = Axes(job, split.chunk, rows)
-    columns = columns_of(job, axes, options)
+    axes = Axes(plan, split.chunk, rows)
+    columns = columns_of(plan, axes, options)
     if in_parts:
         attributes["parts"] = split.parts
-        if job.reduction is not None:
+        if plan.reduction is not None:
             most = max(len(blocks(part.start, part.stop)) for part in map(split.part, range(split.parts)))
             series = {"part": (split.parts, 1), **axes.times}
-            columns |= series_columns(job, axes, series)
-            if not job.per_member and split.parts > 1:
+            columns |= series_columns(plan, axes, series)
+            if not plan.per_member and split.parts > 1:
                 columns["sums"] = axes.column(
                     {**series, "block": (most, most)}, long_name="sums over blocks of members"
                 )
-    constants = {name: constant(name, x, job) for name, x in numbers.items()} | labels(job)
-    constants["time"] = columns.pop("time"), job.times
+    constants = {name: constant(name, x, plan) for name, x in numbers.items()} | labels(plan)
+    constants["time"] = columns.pop("time"), plan.times
     return skeleton(columns, attributes, constants)

@@ -12,7 +12,6 @@ from pathlib import Path
 from typing import Any
 
 from lieint_jax import _checks
-from lieint_jax.runs._job.job import SERIES
 from lieint_jax.runs._storage.chunks import raise_if_damaged
 from lieint_jax.runs._storage.files import open_storage
 from lieint_jax.runs._storage.kinds import (
@@ -32,6 +31,7 @@ from lieint_jax.runs._storage.leaves import Table, store_name
 from lieint_jax.runs._storage.storage import Address, Storage
 from lieint_jax.runs._storage.untrusted import JSON_BYTES, UnreadableError, parse_json, refuse_special, wrap_errors
 from lieint_jax.runs._storage.zipped import checked_sizes
+from lieint_jax.runs._summary import SERIES
 from lieint_jax.runs.store._root import ROOT, Root, read_root
 
 _CHUNK_BYTES = 2**30

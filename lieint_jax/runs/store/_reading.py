@@ -11,13 +11,13 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from lieint_jax.runs._job.job import SERIES, MemberSummary, Summary
 from lieint_jax.runs._job.loop import Change
 from lieint_jax.runs._storage.chunks import first_of
 from lieint_jax.runs._storage.files import open_storage, open_zarr
 from lieint_jax.runs._storage.leaves import Saves, Table, states_in
 from lieint_jax.runs._storage.storage import Address
 from lieint_jax.runs._storage.untrusted import wrap_errors
+from lieint_jax.runs._summary import SERIES, MemberSummary, Summary
 from lieint_jax.runs.store import _published
 from lieint_jax.runs.store._description import UnknownNameError, make
 from lieint_jax.runs.store._open_store import check_store
@@ -51,7 +51,7 @@ def read_run(path: Address) -> Saves:
 
 def _check_states(path: Address, system: System, stored: Saves) -> None:
     if isinstance(stored.found, Trajectory) and len(stored.found.t):
-        check_system(path, system, stored.found, stored.attributes["run"]["step_axis"] == 0)
+        check_system(path, system, stored.found, stored.attributes["run"]["own_step"])
 
 
 def load_store(path: Address, thorough: bool | None = None) -> tuple[Any, Table]:

@@ -8,13 +8,13 @@ from typing import Any
 
 import jax
 import numpy as np
-from jax.sharding import Mesh
 
 from lieint_jax.runs._job import devices
 from lieint_jax.runs._job.devices import Numbers, Tree
-from lieint_jax.runs._job.job import Job, Series
 from lieint_jax.runs._job.loop import Carry, Change
+from lieint_jax.runs._plan import Plan
 from lieint_jax.runs._storage.leaves import Table, store_name
+from lieint_jax.runs._summary import Series
 from lieint_jax.runs.store._writer import Slab, Writer
 from lieint_jax.types import StepInfo, leaves_by_name, state_from_leaves
 
@@ -28,8 +28,8 @@ class StoreOutput:
 
     defers_interrupts = True
 
-    def __init__(self, job: Job, mesh: Mesh, writer: Writer) -> None:
-        self._job, self._mesh, self._writer = job, mesh, writer
+    def __init__(self, plan: Plan, writer: Writer) -> None:
+        self._plan, self._writer = plan, writer
         self._entries = writer.progress["entries"]  # committed so far
         self._pending: list[tuple[Pending, int]] = []
         self._since = 0.0
@@ -51,10 +51,10 @@ class StoreOutput:
             return None
         found = self._writer.carry()
         info = StepInfo(found["residual"], found["converged"])
-        state = state_from_leaves({name: found[name] for name in leaves_by_name(self._job.states)})
-        names = self._job.change_names
+        state = state_from_leaves({name: found[name] for name in leaves_by_name(self._plan.states)})
+        names = self._plan.change_names
         carry = Carry(state, info, found["failed"], Change(**{name: found[name] for name in names}) if names else None)
-        return devices.placed(self._mesh, carry), done["steps"], done["entries"] - 1
+        return devices.placed(self._plan.mesh, carry), done["steps"], done["entries"] - 1
 
     def append(self, saved: Tree | Series, number: int) -> None:
         """See `MemoryOutput`. A part of a longer buffer is copied, so that this can be freed."""
@@ -69,7 +69,7 @@ class StoreOutput:
         """Commit if a chunk is full; or if no rows are pending and the last commit is old or the run is to stop."""
         self._writer.check()
         self._since += seconds
-        last = self._entries + self._pending_rows > self._job.num_saves
+        last = self._entries + self._pending_rows > self._plan.num_saves
         whole = self._pending_rows and (self._entries + self._pending_rows) % self.buffer_rows == 0
         if not (last or whole or (not self._pending_rows and (stop or self._since > _CHECKPOINT_EVERY))):
             return
@@ -84,7 +84,7 @@ class StoreOutput:
 
     def _publish(self, carry: Carry, row: int | None, progress: Table) -> None:
         """Publish a commit whose chunks are written; called by the background thread."""
-        arrays = {} if progress["complete"] else devices.without_padding(_leaves_of_carry(carry), self._job.members)
+        arrays = {} if progress["complete"] else devices.without_padding(_leaves_of_carry(carry), self._plan.members)
         self._writer.publish(row, progress, arrays)
 
     def _slabs(self, carry: Carry, pending: list[tuple[Pending, int]], first: int, last: bool) -> Iterator[Slab]:
@@ -94,7 +94,7 @@ class StoreOutput:
         if not pending:
             return
         end = first + sum(number for _, number in pending)
-        if self._job.reduction is None:
+        if self._plan.reduction is None:
             yield from self._slabs_of_rows(pending, slice(first, end))
         else:
             for name in pending[0][0]:
@@ -102,20 +102,22 @@ class StoreOutput:
 
     def _end(self, carry: Carry) -> Iterator[Slab]:
         """What is known after the last step only."""
-        members = range(self._job.members)
+        members = range(self._plan.members)
         host = devices.without_padding(_leaves_of_carry(carry), len(members))
         kept = {"first_failure": host["failed"]}
-        if self._job.reduction is not None:
-            names = self._job.change_names if self._job.per_member else ()
-            kept |= {name: host[name] for name in (*leaves_by_name(self._job.states), *names)}
-            if self._job.own_times:
+        if self._plan.reduction is not None:
+            names = self._plan.change_names if self._plan.per_member else ()
+            kept |= {name: host[name] for name in (*leaves_by_name(self._plan.states), *names)}
+            if self._plan.shared_time:
+                del kept["t"]
+            elif self._plan.own_times:
                 kept["t"] = self._own_times(slice(-1, None), members)[0]
         for name, x in kept.items():
             yield Slab(store_name(name), (members.start,), x)
 
     def _slabs_of_rows(self, pending: list[tuple[Pending, int]], entries: slice) -> Iterator[Slab]:
         """The rows of all members, joined along time for a few chunks at once: memory has no copy of all."""
-        members, across = range(self._job.members), SLAB * int(self._writer.attributes["member_chunk"])
+        members, across = range(self._plan.members), SLAB * int(self._writer.attributes["member_chunk"])
         slabs = [members[k : k + across] for k in range(0, len(members), across)]
         saved = [leaves_by_name(state) | info._asdict() for (info, state), _ in pending]
         for name in saved[0]:
@@ -124,13 +126,13 @@ class StoreOutput:
                 rows = [piece[:, slab.start : slab.stop] for piece in pieces]
                 joined = np.concatenate(rows) if len(rows) > 1 else rows[0]
                 yield Slab(store_name(name), (entries.start, slab.start), joined)
-        if self._job.own_times:
+        if self._plan.own_times:
             for slab in slabs:
                 yield Slab("t", (entries.start, slab.start), self._own_times(entries, slab))
 
     def _own_times(self, entries: slice, members: range) -> np.ndarray:
         """The values of the array "t" for these members."""
-        return self._job.state_times(entries, slice(members.start, members.stop))
+        return self._plan.times_of(entries, slice(members.start, members.stop))
 
     def can_stop(self) -> bool:
         """True if everything so far is committed."""
