@@ -82,23 +82,16 @@ def best(
 def ours(step: Any, states: Any, dt: float, num_steps: int, devices: int = 1) -> Callable[[], Any]:
     """A function that calls the ensemble's compiled loop once, in so many threads."""
     import jax
-    import jax.numpy as jnp
-    import numpy as np
 
-    from lieint_jax.runs import UniformClock, first_devices
     from lieint_jax.runs._job.engine import engine_of
-    from lieint_jax.runs._job.job import Job
+    from lieint_jax.runs._plan import make_plan
 
-    nodes = np.array([0, num_steps])
-    clock = jax.tree.map(np.asarray, UniformClock(jnp.zeros(()), jnp.asarray(dt)))
-    states = jax.tree.map(np.asarray, states)
-    job = Job(step, states, None, dt, clock, num_steps, nodes * dt, nodes, None, num_steps, None, None)
-    mesh = first_devices(None)
-    engine = engine_of(job, mesh, devices)
-    given, start = engine.start(mesh)
+    plan = make_plan(step, states, dt, num_steps, save_every=None, threads=devices)
+    engine = engine_of(plan)
+    given, start = engine.start()
 
     def call() -> Any:
-        return engine.run_intervals(given, start, 0, 0, nodes[1:], rows=1)[0]
+        return engine.run_intervals(given, start, 0, 0, plan.nodes[1:], rows=1)[0]
 
     jax.block_until_ready(call())
     return call

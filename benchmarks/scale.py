@@ -9,6 +9,7 @@ At last the peak memory of processes that run, compared with `li.peak_memory`.
 
 from __future__ import annotations
 
+import dataclasses
 import json
 import math
 import subprocess
@@ -57,22 +58,27 @@ def on_paper(rate: float) -> dict[str, Any]:
 
     import lieint_jax as li
     from lieint_jax.runs._job import made_states as _made_states
-    from lieint_jax.runs._job import make_job as _make_job
+    from lieint_jax.runs._plan import make_plan
 
     del measure
     body = li.systems.rigid_body([1.0, 2.0, 3.0])
     one = jax.vmap(lambda w: body.state(angular_velocity=w))(np.ones((1, 3)))
-    small = _make_job.checked_job(
-        li.schemes.so3_midpoint(body), one, 0.05, STEPS, SAVE_EVERY, None, None, "x.zarr", None, None
+    small = make_plan(
+        li.schemes.so3_midpoint(body),
+        one,
+        0.05,
+        STEPS,
+        save_every=SAVE_EVERY,
+        store="s3://bucket/x.zarr",
+        part=(0, 1),
     )
     states = jax.tree.map(lambda x: np.broadcast_to(np.asarray(x), (MEMBERS, *x.shape[1:])), small.states)
-    job = small._replace(states=states)
-    split = _make_job.split_into_parts(job, WORKERS, True)
-    part = job.restricted(split.part(0))
-    rows, chunks = part.buffer_rows(split.chunk, remote=True), len(split.chunks(0))
-    commits = math.ceil((job.num_saves + 1) / rows)
+    plan = dataclasses.replace(small, states=states, part=(0, WORKERS))
+    split, part = plan.split(), plan.of_part()
+    rows, chunks = part.buffer_rows(split.chunk), len(split.chunks(0))
+    commits = math.ceil((plan.num_saves + 1) / rows)
     seconds = part.members * STEPS / rate
-    data = MEMBERS * (job.num_saves + 1) * job.row_bytes
+    data = MEMBERS * (plan.num_saves + 1) * plan.row_bytes
     puts = WORKERS * (commits * (4 * chunks + 1) + chunks)
     hours = MEMBERS * STEPS / rate / 3600
     return {
@@ -80,13 +86,13 @@ def on_paper(rate: float) -> dict[str, Any]:
         "core hours": hours,
         "seconds of a worker": seconds,
         "members of a chunk": split.chunk,
-        "entries": job.num_saves + 1,
+        "entries": plan.num_saves + 1,
         "entries of a chunk": rows,
         "MB of a chunk of q": split.chunk * rows * 32 / 1e6,
         "MB of a chunk of p": split.chunk * rows * 24 / 1e6,
         "bytes": data,
-        "bytes of a part's commit": part.members * rows * job.row_bytes,
-        "bytes of a part's state": part.members * job.row_bytes,
+        "bytes of a part's commit": part.members * rows * plan.row_bytes,
+        "bytes of a part's state": part.members * plan.row_bytes,
         "commits of a part": commits,
         "puts": puts,
         "objects": WORKERS * (commits * 4 * chunks + chunks + 1),
@@ -96,7 +102,7 @@ def on_paper(rate: float) -> dict[str, Any]:
         "$ compute": hours * PRICE_CORE_HOUR,
         "$ puts": puts / 1000 * PRICE_1000_PUTS,
         "$ a month": data / 1e9 * PRICE_GB_MONTH,
-        "seconds between saves": seconds / job.num_saves,
+        "seconds between saves": seconds / plan.num_saves,
         "MB/s of all workers": data / seconds / 1e6,
     }
 

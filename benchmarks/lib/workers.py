@@ -19,9 +19,8 @@ import numpy as np
 
 import lieint_jax as li
 from lieint_jax.runs import store as archives
-from lieint_jax.runs._job import job as _job
-from lieint_jax.runs._job import make_job as _make_job
 from lieint_jax.runs._job.engine import Engine
+from lieint_jax.runs._plan import Plan, make_plan
 from lieint_jax.runs._storage.bucket import Bucket
 from lieint_jax.runs._storage.storage import Url, address
 from lieint_jax.runs.store import StoreOptions, _identity, _into_store
@@ -171,13 +170,12 @@ class Simulation:
         q, p = np.tile([1.0, 0, 0, 0], (count, 1)), np.random.default_rng(0).normal(size=(count, 3))
         step, states = li.schemes.so3_midpoint(body), li.State(jnp.array(q), jnp.array(p))
         steps = model.entries - 1
-        self.job = _make_job.checked_job(step, states, 0.05, steps, 1, None, None, "x.zarr", None, None)
         options = StoreOptions(f"memory://simulation/{name}.zarr")
+        self.plan = make_plan(step, states, 0.05, steps, store=options, part=(0, model.workers))
         self.url = address(str(options.path))
-        described = _identity.description(self.job, Engine(self.job, "native", 1))
-        split = _make_job.split_into_parts(self.job, model.workers, False)
-        with mock.patch.object(_job.Job, "buffer_rows", return_value=model.rows):
-            self.files = _into_store._skeleton(self.job, options, described, split, True, True)
+        described = _identity.description(self.plan, Engine(self.plan, "native"))
+        with mock.patch.object(Plan, "buffer_rows", return_value=model.rows):
+            self.files = _into_store._skeleton(self.plan, options, described, self.plan.split(), True)
         self.created = 0
 
     def run(self) -> list[Outcome]:

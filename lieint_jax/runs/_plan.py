@@ -185,8 +185,8 @@ class Plan:
 
     def split(self) -> Split:
         """The members of the parts of the run, in whole chunks of its store."""
-        count, remote = (1 if self.part is None else self.part[1]), self.is_remote
-        most = chunk_members(self.members, count, self.row_bytes, self.num_saves + 1, remote)
+        count = 1 if self.part is None else self.part[1]
+        most = chunk_members(self.members, count, self.row_bytes, self.num_saves + 1, self.is_remote)
         return Split.into_parts(self.members, count, most)
 
     def of_part(self) -> Plan:
@@ -211,13 +211,10 @@ class Plan:
         """The bytes of a member in a saved row: its states, a residual and a flag."""
         return max(sum(leaf.nbytes for leaf in jax.tree.leaves(self.as_saved(self.states))) // self.members + 9, 24)
 
-    def buffer_rows(self, across: int, remote: bool = False) -> int:
-        """The number of saves per call of the loop and per chunk of a store with `across` members to a chunk.
-
-        If `remote`, a chunk is an object in object storage, and each of them a request.
-        """
+    def buffer_rows(self, across: int) -> int:
+        """The number of saves per call of the loop and per chunk of a store with `across` members to a chunk."""
         interval = max(self.num_steps // max(self.num_saves, 1), 1)
-        return rows_of_call(across, self.members, self.row_bytes, interval, self.num_saves + 1, remote)
+        return rows_of_call(across, self.members, self.row_bytes, interval, self.num_saves + 1, self.is_remote)
 
     def first_change(self, value: Any, reached: Any) -> Change | None:
         """What is known of the reduced quantity at the start, of this value; the condition is `reached` or not."""

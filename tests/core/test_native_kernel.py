@@ -276,16 +276,16 @@ def test_rows_failures_and_shorter_steps_are_those_of_the_other_engines(monkeypa
 
 @pytest.mark.quick
 def test_a_gpu_runs_kernels_of_short_steps_and_xla_others(monkeypatch):
-    jobs = []
-    by_engine(monkeypatch, "xla", jobs)
+    plans = []
+    by_engine(monkeypatch, "xla", plans)
     states = li.State(jnp.tile(jnp.eye(3), (2, 1, 1)), jnp.zeros((2, 3, 3)))
     li.run(Leaps(Oscillators(jnp.asarray(1.3))), states, 0.05, 4, progress=False, save_every=None)
-    [job] = jobs
-    assert engine_on("gpu", job) == "kernel"
-    assert engine_on("cpu", job) == "native"
+    [plan] = plans
+    assert engine_on("gpu", plan) == "kernel"
+    assert engine_on("cpu", plan) == "native"
     limit_kernels(monkeypatch, 5)
-    assert "more than the 5 of a kernel" in refusal("kernel", job)
-    assert engine_on("gpu", job) == "xla"
+    assert "more than the 5 of a kernel" in refusal("kernel", plan)
+    assert engine_on("gpu", plan) == "xla"
 
 
 @pytest.mark.quick

@@ -4,6 +4,7 @@ Each change is made by pytest's `monkeypatch`, which undoes it.
 """
 
 import contextlib
+import dataclasses
 import json
 import signal
 from types import SimpleNamespace
@@ -14,12 +15,12 @@ import lieint_jax as li
 from lieint_jax import _checks
 from lieint_jax._xla import compiled
 from lieint_jax.native import _kernel, _machine, _march_code, _traced
+from lieint_jax.runs import _plan
 from lieint_jax.runs._host import execute as _execute
 from lieint_jax.runs._host import run as _run
 from lieint_jax.runs._job import devices as _devices
 from lieint_jax.runs._job import engine as _engine
 from lieint_jax.runs._job import facts as _facts
-from lieint_jax.runs._job import job as _job
 from lieint_jax.runs._job import made_states as _made_states
 from lieint_jax.runs._job.split import Split
 from lieint_jax.runs._storage import bucket as _bucket
@@ -30,13 +31,13 @@ from lieint_jax.types import tangent
 _DIFFERENCE = _engine.Engine._difference
 
 
-def by_engine(monkeypatch, name, jobs=None):
-    """Let the engine of this name compute all runs; their jobs are appended to `jobs`."""
+def by_engine(monkeypatch, name, plans=None):
+    """Let the engine of this name compute all runs; their plans are appended to `plans`."""
 
-    def engine_of(job, _, threads):
-        if jobs is not None:
-            jobs.append(job)
-        return _engine.Engine(job, name, threads)
+    def engine_of(plan):
+        if plans is not None:
+            plans.append(plan)
+        return _engine.Engine(plan, name)
 
     monkeypatch.setattr(_execute, "engine_of", engine_of)
 
@@ -51,19 +52,20 @@ def runs_by(monkeypatch, engines, *arguments, **options):
     return found
 
 
-def engine_on(platform, job):
-    """The name of the engine that computes a job on a platform, "cpu" or "gpu"."""
-    return _engine.engine_of(job, SimpleNamespace(devices=np.array([SimpleNamespace(platform=platform)])), 1).name
+def engine_on(platform, plan):
+    """The name of the engine that computes a plan on a platform, "cpu" or "gpu"."""
+    mesh = SimpleNamespace(devices=np.array([SimpleNamespace(platform=platform)]))
+    return _engine.engine_of(dataclasses.replace(plan, mesh=mesh)).name
 
 
-def refusal(name, job):
-    """Why an engine cannot compute a job."""
-    return _engine.Engine(job, name, 1).refusal
+def refusal(name, plan):
+    """Why an engine cannot compute a plan."""
+    return _engine.Engine(plan, name).refusal
 
 
 def spread_over_devices(monkeypatch):
     """Let a process spread its members over its devices, as over accelerators."""
-    monkeypatch.setattr(_devices, "_on_cpu", lambda _: False)
+    monkeypatch.setattr(_devices, "on_cpu", lambda _: False)
 
 
 def forget_loops():
@@ -111,7 +113,7 @@ def share_short_calls(monkeypatch):
 
 def commit_every(monkeypatch, rows, in_bucket=None):
     """Let runs commit after every `rows` saves, on disks and in buckets, so that a short run has many commits."""
-    monkeypatch.setattr(_job.Job, "buffer_rows", lambda self, across, remote=False: (remote and in_bucket) or rows)
+    monkeypatch.setattr(_plan.Plan, "buffer_rows", lambda self, across: (self.is_remote and in_bucket) or rows)
 
 
 def make_states_of(monkeypatch, members):
@@ -121,7 +123,7 @@ def make_states_of(monkeypatch, members):
 
 def small_chunks(monkeypatch, members, joined):
     """Let chunks of a store have so many members, and so many of them be joined along time at once."""
-    monkeypatch.setattr(_job, "CHUNK_MEMBERS", members)
+    monkeypatch.setattr(_plan, "CHUNK_MEMBERS", members)
     monkeypatch.setattr(_store_output, "SLAB", joined)
 
 

@@ -86,11 +86,16 @@ def first_devices(count: int | None) -> Mesh:
 def placed(mesh: Mesh, tree: _T, own: bool = True) -> _T:
     """Host arrays on the devices of a mesh, padded; if members do not have their `own`, all of it on all devices."""
     tree = jax.tree.map(on_host, tree)
-    if mesh.devices.flat[0].platform == "cpu":
+    if on_cpu(mesh):
         return tree
     if own:
         tree = jax.tree.map(lambda x: np.concatenate([x, np.repeat(x[-1:], -len(x) % mesh.size, axis=0)]), tree)
     return jax.device_put(tree, NamedSharding(mesh, PartitionSpec(*[AXIS] * own)))
+
+
+def on_cpu(mesh: Mesh) -> bool:
+    """Whether the devices of a mesh are CPUs."""
+    return mesh.devices.flat[0].platform == "cpu"
 
 
 def on_host(x: Numbers) -> Numbers:

@@ -37,7 +37,7 @@ _MOST_SHARED = 200_000  # the most numbers shared by all members in a call: each
 
 def engine_of(plan: Plan) -> Engine:
     """The engine of a run: machine code on a CPU, a kernel on a GPU, XLA's loop where neither is possible."""
-    on_cpu, name = plan.mesh.devices.flat[0].platform == "cpu", plan.step.name
+    on_cpu, name = devices.on_cpu(plan.mesh), plan.step.name
     if native.engine_name() == "xla":
         _log.info("XLA runs %s: LIEINT_ENGINE or li.engine selects it", name)
         return Engine(plan, "xla")

@@ -41,7 +41,7 @@ def run_into_store(whole: Plan, engine: Engine, integrate: Callable[[StoreOutput
     in_parts = whole.part is not None or storage.is_remote  # other processes may write at the same time
     check_json(options.attributes)
     described = _identity.description(whole, engine)
-    first_files = partial(_skeleton, whole, options, described, split, in_parts, storage.is_remote)
+    first_files = partial(_skeleton, whole, options, described, split, in_parts)
     exists = storage.has_store()
     if exists and not whole.resume:
         raise ValueError(
@@ -89,13 +89,11 @@ def _root_of(storage: Storage, described: Table | None, split: Split, in_parts: 
     return found
 
 
-def _skeleton(
-    plan: Plan, options: StoreOptions, described: Table, split: Split, in_parts: bool, remote: bool
-) -> dict[str, bytes]:
+def _skeleton(plan: Plan, options: StoreOptions, described: Table, split: Split, in_parts: bool) -> dict[str, bytes]:
     """The files that a store begins with; `plan` is that of all members."""
     members = max(map(split.part, range(split.parts)), key=len)
     largest = plan.select(slice(members.start, members.stop))
-    rows = largest.buffer_rows(split.chunk, remote)
+    rows = largest.buffer_rows(split.chunk)
     description, numbers = describe(plan.step)
     attributes = attributes_of(plan, options, described, split.chunk, rows)
     attributes |= {"format": FORMAT, "constants": sorted(numbers), "description": description}
