@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import functools
 import inspect
 from collections.abc import Callable
 from pathlib import Path
@@ -268,6 +269,9 @@ def make_plan(
     """The checked plan of a run; arguments and errors as in `li.run`."""
     if own_step:
         check_own_steps(step, members if callable(states) else len(states.p))
+    if not callable(states):
+        with _checks.on_host():
+            step, states, _ = promoted(checked_step(step), states)
     batch = callable(states) or is_batch(step, states, own_step)
     if own_step and not batch:
         raise ValueError("own_step=True is for a batch, and these states are of one body")
@@ -284,10 +288,11 @@ def make_plan(
     with _checks.on_host():
         # in parts the states of one member stand for those of all, which each part makes for itself
         chosen = range(0) if made is None else range(1 if count > 1 else made.members)
-        given = cast("State", states) if made is None else _made(step, made, chosen)
-        given = given if batch else with_member_axis(given)
-        own = jax.tree.map(lambda x: x[: len(chosen)], step) if own_step and made is not None else step
-        own, given, dtype = promoted(checked_step(own), given)
+        own, given = step, cast("State", states)
+        if made is not None:
+            own = jax.tree.map(lambda x: x[: len(chosen)], step) if own_step else step
+            own, given, _ = promoted(checked_step(own), made.make(chosen))
+        given, dtype = given if batch else with_member_axis(given), np.dtype(given.p.dtype)
         check_inertias(own, own_step)
         initial, is_shared = _checked_states(own, given, None if made is None else chosen)
         clock, planned_steps = _make_clock(own, initial, is_shared, dtype, dt, num_steps, times)
@@ -343,18 +348,26 @@ def make_plan(
 
 def is_batch(step: Step, states: State, own_step: bool) -> bool:
     """Whether states have one axis more than the phase space of the step's system needs."""
-    step, states = checked_step(step), promoted(step, states)[1]
     if own_step:
         step = jax.tree.map(lambda x: x[0], step)
-    own = step.system.phase_space.origin
-    more = np.ndim(states.q) - np.ndim(own.q)
-    if more != np.ndim(states.p) - np.ndim(own.p) or more not in (0, 1):
-        q, p, needed = np.shape(states.q), np.shape(states.p), (np.shape(own.q), np.shape(own.p))
+    leaves, structure = jax.tree.flatten(step.system.phase_space)
+    needed = _shapes_of_origin(structure, tuple(np.shape(x) for x in leaves))
+    q, p = np.shape(states.q), np.shape(states.p)
+    more = len(q) - len(needed[0])
+    if more != len(p) - len(needed[1]) or more not in (0, 1):
         raise ValueError(
             f"states of {type(step.system).__name__} have q of shape {needed[0]} and p of shape {needed[1]}, those of "
             f"a batch one leading axis more; got q {q} and p {p}"
         )
     return more == 1
+
+
+@functools.cache
+def _shapes_of_origin(structure: Any, shapes: tuple[tuple[int, ...], ...]) -> tuple[tuple[int, ...], ...]:
+    """The shapes of q and of p of one body, in a phase space of this structure with arrays of these shapes."""
+    arrays = [jax.ShapeDtypeStruct(shape, float) for shape in shapes]
+    origin = jax.eval_shape(lambda *x: jax.tree.unflatten(structure, x).origin, *arrays)
+    return origin.q.shape, origin.p.shape
 
 
 def check_own_steps(step: Step, members: int | None) -> None:

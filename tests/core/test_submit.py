@@ -192,6 +192,7 @@ def test_cores_are_those_of_the_quota(tmp_path, monkeypatch, version):
     assert li.count_cores() == 64  # no limit
 
     def limit(place, cores):
+        internals.forget_quotas()
         files = {"cpu.max": f"{cores}00000 100000" if cores else "max 100000"}
         if version == 1:
             files = {"cpu.cfs_quota_us": f"{cores}00000" if cores else "-1", "cpu.cfs_period_us": "100000"}
@@ -205,6 +206,7 @@ def test_cores_are_those_of_the_quota(tmp_path, monkeypatch, version):
     limit("pods/mine", 0.5)
     assert li.count_cores() == 1
     internals.control_groups(monkeypatch, top, tmp_path / "nothing")
+    internals.forget_quotas()
     assert li.count_cores() == 64
     monkeypatch.setenv("SLURM_CPUS_PER_TASK", "4")
     assert li.count_cores() == 4

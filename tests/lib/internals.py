@@ -169,6 +169,11 @@ def control_groups(monkeypatch, top, own):
     monkeypatch.setattr(_checks, "_OWN_GROUPS", own)
 
 
+def forget_quotas():
+    """Let the CPU quotas of this process be read again."""
+    _devices._quotas.cache_clear()
+
+
 def another_version(monkeypatch, **versions):
     """Let stores be written by other versions of packages."""
     known = _facts.package_versions()

@@ -17,8 +17,9 @@ import numpy as np
 
 from lieint_jax import _checks
 from lieint_jax.runs._job import devices
+from lieint_jax.runs._job.devices import Numbers
 from lieint_jax.runs._job.engine import Engine, engine_of
-from lieint_jax.runs._job.loop import Carry, Given, energy
+from lieint_jax.runs._job.loop import Given, energy
 from lieint_jax.runs._job.memory_output import MemoryOutput, first_rows, reduce_rows
 from lieint_jax.runs._march.clock import GridClock, more_times
 from lieint_jax.runs._plan import MAX_NAMED, Plan, list_members
@@ -52,20 +53,25 @@ def execute(engine: Engine, output: MemoryOutput | StoreOutput) -> Saves | None:
     given, start = engine.start()
     H0 = engine.quantity(energy, given, start.state) if plan.progress and Bar.is_visible() else None
     if restored is None:
-        _check_start(engine, given, start, output.buffer_rows)
+        _check_quantity(plan, given)
+        if output.commits and plan.num_steps:  # before anything is written
+            after, _ = engine.run_intervals(given, start, 0, 0, np.ones(1, int), output.buffer_rows)
+            _check_first_step(plan, after.failed)
         output.append(first_rows(plan, start), 1)
         output.checkpoint(start, 0, 0.0, stop=False)
     carry, done, saved = restored or (start, 0, 0)
     del start, restored  # their arrays are as large as those of a carry
     most = max(1, 100_000 // plan.members)  # steps in a call
     bar = Bar(plan.progress, plan.num_steps, plan.members, done)
-    with _interrupts(output.defers_interrupts) as requested, bar:
+    with _interrupts(output.commits) as requested, bar:
         while saved < plan.num_saves:
             limit, ahead = done + min(most, engine.most_steps), plan.nodes[saved + 1 : saved + 1 + output.free_rows]
             saves = int(np.searchsorted(ahead, limit, side="right"))
             ends = ahead[:saves] if saves else np.array([limit])
             clock, steps = time.perf_counter(), int(ends[-1]) - done
             carry, rows = engine.run_intervals(given, carry, done, saved, ends, output.buffer_rows)
+            if done == 0:
+                _check_first_step(plan, carry.failed)
             done, saved = done + steps, saved + saves
             if saves:
                 output.append(rows if plan.reduction is None else reduce_rows(rows, saves, plan), saves)
@@ -87,25 +93,25 @@ def execute(engine: Engine, output: MemoryOutput | StoreOutput) -> Saves | None:
     return result
 
 
-def _check_start(engine: Engine, given: Given, start: Carry, rows: int) -> None:
-    """Raise ValueError if the first step of a member fails, or the reduced quantity is not finite at the start."""
-    plan = engine.plan
-    first = plan.first_member
+def _check_quantity(plan: Plan, given: Given) -> None:
+    """Raise ValueError if the reduced quantity is not finite at the start."""
     if given.quantity is not None:
         bad = np.flatnonzero(~np.isfinite(devices.without_padding(given.quantity, plan.members)))
         if bad.size:
             raise ValueError(
                 f"the quantity of reduce must be finite at the start, from which its changes are measured, and is not "
-                f"finite for {list_members(bad + first)}"
+                f"finite for {list_members(bad + plan.first_member)}"
             )
-    if plan.num_steps:
-        after, _ = engine.run_intervals(given, start, 0, 0, np.ones(1, int), rows)
-        bad = np.flatnonzero(devices.without_padding(after.failed, plan.members) >= 0)
-        if bad.size and not plan.step.approximate:
-            step, state = plan.member(bad[0])
-            more = more_times(step, state, plan.first_dt) if isinstance(plan.clock, GridClock) else ""
-            advice = f"{step.failure(state, plan.first_dt)}{more}"
-            raise ValueError(f"the first step fails for {list_members(bad + first)}. Member {bad[0] + first}: {advice}")
+
+
+def _check_first_step(plan: Plan, failed: Numbers) -> None:
+    """Raise ValueError if the first step that failed is the first step of the run, for any member."""
+    bad, first = np.flatnonzero(devices.without_padding(failed, plan.members) == 0), plan.first_member
+    if bad.size and not plan.step.approximate:
+        step, state = plan.member(bad[0])
+        more = more_times(step, state, plan.first_dt) if isinstance(plan.clock, GridClock) else ""
+        advice = f"{step.failure(state, plan.first_dt)}{more}"
+        raise ValueError(f"the first step fails for {list_members(bad + first)}. Member {bad[0] + first}: {advice}")
 
 
 def warn_of_failures(failed: np.ndarray, first: int, system: System) -> None:

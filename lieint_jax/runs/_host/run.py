@@ -30,7 +30,19 @@ from lieint_jax.runs._plan import Plan, is_batch, make_plan
 from lieint_jax.runs._storage.leaves import Saves
 from lieint_jax.runs._storage.storage import StoreOptions, address
 from lieint_jax.runs._summary import MemberSummary, Summary, member_of, saves_of_batch
-from lieint_jax.types import State, Step, StepInfo, System, Trajectory, callable_pytree, labeled, pytree, static
+from lieint_jax.types import (
+    State,
+    Step,
+    StepInfo,
+    System,
+    Trajectory,
+    callable_pytree,
+    checked_step,
+    labeled,
+    promoted,
+    pytree,
+    static,
+)
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -110,7 +122,8 @@ class Run(Generic[Saved, Reduced]):
         Raises:
             ValueError: states of another shape than the step's system needs.
         """
-        batch = is_batch(step, jax.tree.map(lambda x: x[0], trajectory.state), own_step)
+        first = promoted(checked_step(step), jax.tree.map(lambda x: x[0], trajectory.state))[1]
+        batch = is_batch(step, first, own_step)
         good = jnp.asarray(trajectory.info.converged)
         failed = jnp.where(good.all(axis=0), -1, jnp.argmin(good, axis=0) - 1)
         text, steps = dates.text_of(epoch), len(trajectory.t) - 1

@@ -11,6 +11,7 @@ import contextlib
 import math
 import os
 import sys
+from functools import cache
 from typing import Any, TypeVar
 
 import jax
@@ -49,11 +50,17 @@ def count_cores() -> int:
     SLURM_CPUS_PER_TASK and OMP_NUM_THREADS, by which SLURM, Dask, Ray and joblib give each worker its share.
     """
     limits = [float(len(os.sched_getaffinity(0)) if sys.platform == "linux" else os.cpu_count() or 1)]
-    for quota in _checks.limits_of_groups("cpu", "cpu.max", "cpu.cfs_quota_us", "cpu.cfs_period_us"):
-        limits += [quota[0] / quota[1]] if quota[0] > 0 else []
+    limits += _quotas()
     shares = (os.environ.get(name, "").split(",")[0] for name in ("SLURM_CPUS_PER_TASK", "OMP_NUM_THREADS"))
     limits += [float(share) for share in shares if share.isdecimal() and int(share)]
     return math.ceil(min(limits))
+
+
+@cache
+def _quotas() -> list[float]:
+    """The CPU quotas of the control groups of this process, in cores; their files are read once."""
+    quotas = _checks.limits_of_groups("cpu", "cpu.max", "cpu.cfs_quota_us", "cpu.cfs_period_us")
+    return [quota[0] / quota[1] for quota in quotas if quota[0] > 0]
 
 
 def want_devices(count: int | None) -> None:
@@ -77,7 +84,11 @@ def first_devices(count: int | None) -> Mesh:
     Raises:
         ValueError: the process has fewer devices.
     """
-    devices = jax.local_devices()
+    return _mesh_of(tuple(jax.local_devices()), count)
+
+
+@cache
+def _mesh_of(devices: tuple[Any, ...], count: int | None) -> Mesh:
     if count is not None and count > len(devices):
         raise ValueError(f"{count} devices were requested, and {len(devices)} are available")
     return Mesh(np.array(devices[:count]), (AXIS,))

@@ -228,9 +228,10 @@ class Engine:
         first = np.concatenate([[done], ends[:-1]]).astype(dtype)
         begins = (np.arange(count) > 0) | (done == self.plan.nodes[saved])
         if rests is not None:
-            rests = np.resize(rests[saved + 1 :], count).astype(self.plan.dtype)
+            rests = rests[saved + 1 : saved + 1 + count].astype(self.plan.dtype)
         rows = rows if self.name == "xla" else power_of_two(rows)  # XLA's loops fill all rows
-        spans = jax.tree.map(lambda x: np.resize(x, rows), Span(first, ends.astype(dtype), rests, begins))
+        places = np.arange(rows) % count
+        spans = jax.tree.map(lambda x: x[places], Span(first, ends.astype(dtype), rests, begins))
         with computed_by(self.name, self.plan.threads):
             return jax.block_until_ready(self._loop.of_all(carry, given, spans, np.int32(count)))
 

@@ -74,12 +74,12 @@ class MemoryOutput:
     `StoreOutput` has the same methods.
 
     Attributes:
-        defers_interrupts: whether an interrupt waits until the run `can_stop`.
+        commits: whether it writes to a store; then an interrupt waits until the run `can_stop`.
         buffer_rows: the largest number of saves in one call of the compiled loop: the length of its buffer.
         free_rows: the largest number of saves in the next call.
     """
 
-    defers_interrupts = False
+    commits = False
 
     def __init__(self, plan: Plan, earlier: Saves | None = None) -> None:
         self._plan, self._entries, self._earlier = plan, 0, earlier

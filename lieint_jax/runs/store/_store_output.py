@@ -26,7 +26,7 @@ _CHECKPOINT_EVERY = 30.0  # seconds between checkpoints within a long save inter
 class StoreOutput:
     """Results in a store, written chunk by chunk, with a checkpoint after each chunk."""
 
-    defers_interrupts = True
+    commits = True
 
     def __init__(self, plan: Plan, writer: Writer) -> None:
         self._plan, self._writer = plan, writer
