@@ -428,10 +428,10 @@ def _make_clock(
     times: ArrayLike | None,
 ) -> tuple[Clock, int]:
     """The clock of the steps, as host arrays, and their number; since the start if members start at different times."""
-    t: Any = states.t
-    if t is not None and not is_shared and not step.own_time and times is not None:
+    if states.t is not None and not is_shared and not step.own_time and times is not None:
         raise ValueError("times hold for all members: give all members the same states.t, or none")
-    clock, planned_steps = clock_of(step, states._replace(t=t[0] if is_shared else None), dtype, dt, num_steps, times)
+    t: Any = np.asarray(states.t)[0] if is_shared else None
+    clock, planned_steps = clock_of(step, states._replace(t=t), dtype, dt, num_steps, times)
     if isinstance(clock, UniformClock) and clock.t0 is None:
         clock = UniformClock(jnp.zeros((), dtype), clock.dt)
     return jax.tree.map(np.asarray, clock), planned_steps

@@ -51,27 +51,22 @@ def untransformed(name: str) -> Callable[[_F], _F]:
     return decorate
 
 
-class OptionsOfParts(TypedDict, total=False):
-    """The arguments of `run` that `submit` has too, and on which the type of the result does not depend."""
+class RunOptions(TypedDict, total=False):
+    """The arguments of `run` on which the type of its result does not depend."""
 
     save_every: int | None
     own_step: bool
-    times: ArrayLike | None
-    save_at: ArrayLike | None
-    members: int | None
-    threads: int | None
-    same_bits: bool
-    epoch: DateLike | None
-
-
-class _Options(OptionsOfParts, total=False):
-    """Those of `run` alone."""
-
     mesh: Mesh | None
     store: str | Path | StoreOptions | None
     progress: bool
     resume: bool
+    times: ArrayLike | None
+    save_at: ArrayLike | None
     part: tuple[int, int] | Literal["auto"] | None
+    members: int | None
+    threads: int | None
+    same_bits: bool
+    epoch: DateLike | None
 
 
 @overload
@@ -82,7 +77,7 @@ def run(
     num_steps: int | None = ...,
     *,
     reduce: None = ...,
-    **options: Unpack[_Options],
+    **options: Unpack[RunOptions],
 ) -> Run[Trajectory, None]: ...
 @overload
 def run(
@@ -93,7 +88,7 @@ def run(
     *,
     reduce: Reduction | Literal["energy"],
     per: None = ...,
-    **options: Unpack[_Options],
+    **options: Unpack[RunOptions],
 ) -> Run[None, Summary]: ...
 @overload
 def run(
@@ -105,7 +100,7 @@ def run(
     reduce: Reduction | Literal["energy"],
     per: Literal["member"],
     first: Reduction | None = ...,
-    **options: Unpack[_Options],
+    **options: Unpack[RunOptions],
 ) -> Run[None, MemberSummary]: ...
 @explained("li.run")
 @untransformed("li.run")

@@ -9,7 +9,6 @@ import time
 import uuid
 from concurrent.futures import BrokenExecutor
 from functools import lru_cache, partial
-from pathlib import Path
 from typing import Any, Literal, Protocol, Unpack, overload, runtime_checkable
 
 import jax
@@ -17,7 +16,7 @@ import numpy as np
 
 from lieint_jax._checks import count
 from lieint_jax.runs._host.execute import Bar, warn_of_failures
-from lieint_jax.runs._host.make_run import OptionsOfParts, run, untransformed
+from lieint_jax.runs._host.make_run import RunOptions, run, untransformed
 from lieint_jax.runs._host.run import Run, stored_run
 from lieint_jax.runs._job.loop import Reduction
 from lieint_jax.runs._job.made_states import MakeStates
@@ -29,7 +28,7 @@ from lieint_jax.types import State, Step, Trajectory
 _PAUSE = 0.05  # seconds between two looks at the tasks
 # of the caller's functions, or a package that the workers lack: a part that is repeated raises them again
 _MISTAKES = (ArithmeticError, AssertionError, AttributeError, ImportError, LookupError, NameError, NotImplementedError)
-_OWN = ("mesh", "part", "progress", "resume")  # arguments of `run` that each task has for itself
+_OWN = ("mesh", "part", "resume")  # arguments of `run` that each task has for itself
 
 
 class LostWorkerError(RuntimeError):
@@ -57,10 +56,8 @@ def submit(
     *,
     parts: int,
     executor: Executor,
-    store: str | Path | StoreOptions,
-    progress: bool = ...,
     reduce: None = ...,
-    **options: Unpack[OptionsOfParts],
+    **options: Unpack[RunOptions],
 ) -> Run[Trajectory, None]: ...
 @overload
 def submit(
@@ -71,11 +68,9 @@ def submit(
     *,
     parts: int,
     executor: Executor,
-    store: str | Path | StoreOptions,
-    progress: bool = ...,
     reduce: Reduction | Literal["energy"],
     per: None = ...,
-    **options: Unpack[OptionsOfParts],
+    **options: Unpack[RunOptions],
 ) -> Run[None, Summary]: ...
 @overload
 def submit(
@@ -86,12 +81,10 @@ def submit(
     *,
     parts: int,
     executor: Executor,
-    store: str | Path | StoreOptions,
-    progress: bool = ...,
     reduce: Reduction | Literal["energy"],
     per: Literal["member"],
     first: Reduction | None = ...,
-    **options: Unpack[OptionsOfParts],
+    **options: Unpack[RunOptions],
 ) -> Run[None, MemberSummary]: ...
 @untransformed("li.submit")
 def submit(
@@ -102,8 +95,6 @@ def submit(
     *,
     parts: int,
     executor: Executor,
-    store: str | Path | StoreOptions,
-    progress: bool = True,
     **options: Any,
 ) -> Run:
     """Run a step from initial states in parts, each a task of an executor, and wait until all are in one store.
@@ -121,9 +112,8 @@ def submit(
         executor: a `concurrent.futures.Executor`, such as `client.get_executor()` of Dask, or anything with its method
             `submit`, such as the executors of loky, mpi4py and submitit. Whether it starts a task again is its own
             matter: `client.get_executor(retries=3)`.
-        store: a folder or URL that all workers reach, as in `li.run`.
-        progress: show a progress bar of parts on stderr, if that is a terminal.
-        options: further arguments of `li.run`, but those of one process: mesh, part, progress, resume.
+        options: further arguments of `li.run`. `store`, a folder or URL that all workers reach, must be among them;
+            `progress` shows a progress bar of parts; mesh, part and resume are of one process and are not allowed.
 
     Returns:
         The run of all members, read from the store.
@@ -140,7 +130,7 @@ def submit(
     Warns:
         RuntimeWarning: as `li.run`, of members that fail to converge.
     """
-    parts = count("parts", parts, 1)
+    parts, progress, store = count("parts", parts, 1), options.pop("progress", True), options.get("store")
     refused = [name for name in _OWN if name in options]
     if refused:
         raise ValueError(f"{refused[0]} is not for a run in parts: each task has its own")
@@ -151,7 +141,7 @@ def submit(
             "executor must have the method submit, such as concurrent.futures.ThreadPoolExecutor(2) or "
             f"client.get_executor() of Dask, got {executor!r}"
         )
-    given = {"dt": dt, "num_steps": num_steps, "store": store, **options}
+    given = {"dt": dt, "num_steps": num_steps, **options}
     inspect.signature(run).bind(step, states, **given)
     place = address(StoreOptions.of(store).path)
     try:
