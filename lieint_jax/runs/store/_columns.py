@@ -9,9 +9,9 @@ from numpy.typing import DTypeLike
 
 from lieint_jax.runs._job.devices import Numbers
 from lieint_jax.runs._job.job import Job
+from lieint_jax.runs._storage.arrays import ArrayMetadata
 from lieint_jax.runs._storage.leaves import Table, store_name
 from lieint_jax.runs._storage.storage import StoreOptions
-from lieint_jax.runs.store._writer import Column
 from lieint_jax.types import labeled, leaves_by_name
 
 _RESIDUAL = "largest residual of a step since the entry before"
@@ -43,19 +43,21 @@ class Axes:
         self.members = {"member": (job.members, chunk)}
         self._number = job.dtype
 
-    def column(self, axes: Mapping[str, tuple[int, int]], dtype: DTypeLike | None = None, **attributes: str) -> Column:
+    def column(
+        self, axes: Mapping[str, tuple[int, int]], dtype: DTypeLike | None = None, **attributes: str
+    ) -> ArrayMetadata:
         """The description of an array of scalars along `axes`."""
         (shape, chunks), kind = zip(*axes.values(), strict=True), np.dtype(self._number if dtype is None else dtype)
-        return Column(shape, kind, chunks, tuple(axes), attributes)
+        return ArrayMetadata(shape, kind, chunks, tuple(axes), attributes)
 
-    def state(self, axes: Mapping[str, tuple[int, int]], name: str, leaf: Numbers, **attributes: str) -> Column:
+    def state(self, axes: Mapping[str, tuple[int, int]], name: str, leaf: Numbers, **attributes: str) -> ArrayMetadata:
         """The description of an array of one leaf of the states along `axes`."""
         dims, _ = labeled.state_axes(store_name(name), leaf.shape[1:])
         sizes = {dim: (n, max(n, 1)) for dim, n in zip(dims, leaf.shape[1:], strict=True)}  # momenta may have none
         return self.column({**axes, **sizes}, **attributes)
 
 
-def columns_of(job: Job, axes: Axes, options: StoreOptions) -> dict[str, Column]:
+def columns_of(job: Job, axes: Axes, options: StoreOptions) -> dict[str, ArrayMetadata]:
     """The arrays that readers see."""
     times, members = axes.times, axes.members
     series = job.reduction is not None
@@ -78,7 +80,7 @@ def columns_of(job: Job, axes: Axes, options: StoreOptions) -> dict[str, Column]
     return columns | {"converged": axes.column(both, bool, long_name=text)}
 
 
-def series_columns(job: Job, axes: Axes, along: Mapping[str, tuple[int, int]]) -> dict[str, Column]:
+def series_columns(job: Job, axes: Axes, along: Mapping[str, tuple[int, int]]) -> dict[str, ArrayMetadata]:
     what = getattr(job.reduction, "__name__", "reduced quantity")
     text = "{} change of {} since the start, over members and steps"
     changes = () if job.per_member else ("least", "greatest", "mean")
@@ -89,24 +91,24 @@ def series_columns(job: Job, axes: Axes, along: Mapping[str, tuple[int, int]]) -
     }
 
 
-def constant(name: str, values: np.ndarray, job: Job) -> tuple[Column, np.ndarray]:
+def constant(name: str, values: np.ndarray, job: Job) -> tuple[ArrayMetadata, np.ndarray]:
     """The description and the values of an array of the step, with the member axis first if it has one."""
     along = ("member",) if job.step_axis is not None else ()
     dims = (*along, *(f"{name}_axis{k}" for k in range(values.ndim - len(along))))
     chunks = tuple(max(n, 1) for n in values.shape)  # of translations, an array of the group is empty
-    return Column(values.shape, values.dtype, chunks, dims, {"long_name": f"{name} of the run"}), values
+    return ArrayMetadata(values.shape, values.dtype, chunks, dims, {"long_name": f"{name} of the run"}), values
 
 
-def labels(job: Job) -> dict[str, tuple[Column, np.ndarray]]:
+def labels(job: Job) -> dict[str, tuple[ArrayMetadata, np.ndarray]]:
     """The coordinates that name the components of the states, such as x, y, z along the dimension "axis"."""
-    found: dict[str, tuple[Column, np.ndarray]] = {}
+    found: dict[str, tuple[ArrayMetadata, np.ndarray]] = {}
     for name, leaf in leaves_by_name(job.states).items():
         system = job.step.system
         for dim, labels in labeled.state_axes(store_name(name), leaf.shape[1:], system)[1].items():
             values = np.asarray(labels)
             if values.dtype.kind == "U":
                 values = values.astype(np.dtypes.StringDType())
-            found[dim] = Column(values.shape, values.dtype, values.shape, (dim,), {}), values
+            found[dim] = ArrayMetadata(values.shape, values.dtype, values.shape, (dim,), {}), values
     return found
 
 

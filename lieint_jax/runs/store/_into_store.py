@@ -19,15 +19,16 @@ from lieint_jax.runs._job.make_job import split_into_parts
 from lieint_jax.runs._job.split import Split
 from lieint_jax.runs._storage.files import open_storage
 from lieint_jax.runs._storage.leaves import Saves, Table
-from lieint_jax.runs._storage.storage import Storage, StoreOptions, check_json, checked_path
+from lieint_jax.runs._storage.storage import ROOT, Storage, StoreOptions, check_json, checked_path
 from lieint_jax.runs.store import _identity
 from lieint_jax.runs.store._columns import Axes, attributes_of, columns_of, constant, labels, series_columns
 from lieint_jax.runs.store._description import describe
-from lieint_jax.runs.store._open_store import check_store, described_root
 from lieint_jax.runs.store._reading import read_part
-from lieint_jax.runs.store._root import FORMAT, ROOT, Root
+from lieint_jax.runs.store._root import FORMAT, Root, check_store, open_root, written_root
 from lieint_jax.runs.store._store_output import StoreOutput
 from lieint_jax.runs.store._writer import Writer, join, skeleton
+
+_TIME_CHUNK = 2**17  # entries of the array of times in one file
 
 
 def run_into_store(
@@ -102,7 +103,9 @@ def _is_created(storage: Storage, files: dict[str, bytes], in_parts: bool) -> bo
 
 def _root_of(storage: Storage, described: Table | None, split: Split, in_parts: bool, same_bits: bool) -> Root:
     """The root of a store, if it is that of the run described and in these parts; None: this run has just made it."""
-    found = (described_root if described is None or in_parts else check_store)(storage.address)
+    if described is None:
+        return written_root(storage)
+    found = (open_root if in_parts else check_store)(storage.address)
     count = found.split.parts
     if found.in_parts and not in_parts:
         raise ValueError(
@@ -110,8 +113,7 @@ def _root_of(storage: Storage, described: Table | None, split: Split, in_parts: 
         )
     if in_parts and not found.in_parts:
         raise ValueError(f"{storage.address} was not written in parts; choose another store")
-    if described is not None:
-        _identity.check_same(storage.address, found.attributes, described, same_bits)
+    _identity.check_same(storage.address, found.attributes, described, same_bits)
     if count != split.parts:
         raise ValueError(f"{storage.address} is written in {count} part(s), not in {split.parts}")
     return found
@@ -139,5 +141,6 @@ def _skeleton(
                     {**series, "block": (most, most)}, long_name="sums over blocks of members"
                 )
     constants = {name: constant(name, x, job) for name, x in numbers.items()} | labels(job)
-    constants["time"] = columns.pop("time"), job.times
+    times = columns.pop("time")
+    constants["time"] = times._replace(chunks=(min(len(job.times), _TIME_CHUNK),)), job.times
     return skeleton(columns, attributes, constants)
