@@ -23,9 +23,9 @@ from lieint_jax.runs._job import job as _job
 from lieint_jax.runs._job import make_job as _make_job
 from lieint_jax.runs._job.engine import Engine
 from lieint_jax.runs._storage.bucket import Bucket
-from lieint_jax.runs._storage.storage import Url, address
-from lieint_jax.runs.store import StoreOptions, _identity, _into_store
-from lieint_jax.runs.store._root import ROOT, Root, read_root
+from lieint_jax.runs._storage.storage import ROOT, Url, address
+from lieint_jax.runs.store import StoreOptions, _identity, _layout
+from lieint_jax.runs.store._root import Root, read_root
 from lieint_jax.runs.store._writer import Slab, Writer, join
 
 MEMBERS = 2  # of a simulated worker; its requests are timed as if they had the bytes of all members
@@ -177,7 +177,7 @@ class Simulation:
         described = _identity.description(self.job, Engine(self.job, "native", 1))
         split = _make_job.split_into_parts(self.job, model.workers, False)
         with mock.patch.object(_job.Job, "buffer_rows", return_value=model.rows):
-            self.files = _into_store._skeleton(self.job, options, described, split, True, True)
+            self.files = _layout.first_files(self.job, options, described, split, True, True)
         self.created = 0
 
     def run(self) -> list[Outcome]:

@@ -12,7 +12,6 @@ from jax.sharding import Mesh
 from lieint_jax.runs._job import devices
 from lieint_jax.runs._job.devices import Layout
 from lieint_jax.runs._job.digests import digest_of_states
-from lieint_jax.runs._job.dyadic_sum import blocks
 from lieint_jax.runs._job.engine import Engine
 from lieint_jax.runs._job.job import Job
 from lieint_jax.runs._job.make_job import split_into_parts
@@ -21,14 +20,11 @@ from lieint_jax.runs._storage.files import open_storage
 from lieint_jax.runs._storage.leaves import Saves, Table
 from lieint_jax.runs._storage.storage import ROOT, Storage, StoreOptions, check_json, checked_path
 from lieint_jax.runs.store import _identity
-from lieint_jax.runs.store._columns import Axes, attributes_of, columns_of, constant, labels, series_columns
-from lieint_jax.runs.store._description import describe
+from lieint_jax.runs.store._layout import first_files
 from lieint_jax.runs.store._reading import read_part
-from lieint_jax.runs.store._root import FORMAT, Root, check_store, open_root, written_root
+from lieint_jax.runs.store._root import Root, check_store, open_root, written_root
 from lieint_jax.runs.store._store_output import StoreOutput
-from lieint_jax.runs.store._writer import Writer, join, skeleton
-
-_TIME_CHUNK = 2**17  # entries of the array of times in one file
+from lieint_jax.runs.store._writer import Writer, join
 
 
 def run_into_store(
@@ -65,7 +61,7 @@ def run_into_store(
     split = split_into_parts(whole, count, storage.is_remote)
     check_json(options.attributes)
     described = _identity.description(whole, engine, options.attributes.get("scenario"))
-    first_files = partial(_skeleton, whole, options, described, split, in_parts, storage.is_remote)
+    new_files = partial(first_files, whole, options, described, split, in_parts, storage.is_remote)
     _identity.check_processes(mesh, described, store=storage.address.name, resume=resume)
     together = partial(devices.fail_together, mesh)
     exists = bool(devices.all_reduce_max(mesh, storage.has_store())[0])
@@ -76,12 +72,12 @@ def run_into_store(
     if not exists:
         if not in_parts:  # whose other parts must be comparable
             _identity.warn_of_no_resume(described)
-        exists = not together(lambda: not leader or _is_created(storage, first_files(), in_parts))
+        exists = not together(lambda: not leader or _is_created(storage, new_files(), in_parts))
     root = together(lambda: _root_of(storage, described if exists or in_parts else None, split, in_parts, same_bits))
     with contextlib.ExitStack() as stack:
         together(lambda: stack.enter_context(root.storage.lock(root.folder(k), leader)))
         if in_parts:
-            join(root, first_files())
+            join(root, new_files())
         initial, machine = digest_of_states(job.initial), _identity.machine_of(described)
         writer = together(
             lambda: stack.enter_context(contextlib.closing(Writer(root, k, leader, initial, machine, same_bits)))
@@ -117,30 +113,3 @@ def _root_of(storage: Storage, described: Table | None, split: Split, in_parts: 
     if count != split.parts:
         raise ValueError(f"{storage.address} is written in {count} part(s), not in {split.parts}")
     return found
-
-
-def _skeleton(
-    job: Job, options: StoreOptions, described: Table, split: Split, in_parts: bool, remote: bool
-) -> dict[str, bytes]:
-    """The files that a store begins with; `job` is that of all members."""
-    largest = job.restricted(max(map(split.part, range(split.parts)), key=len))
-    rows = largest.buffer_rows(split.chunk, remote)
-    description, numbers = describe(job.step)
-    attributes = attributes_of(job, options, described, split.chunk, rows)
-    attributes |= {"format": FORMAT, "constants": sorted(numbers), "description": description}
-    axes = Axes(job, split.chunk, rows)
-    columns = columns_of(job, axes, options)
-    if in_parts:
-        attributes["parts"] = split.parts
-        if job.reduction is not None:
-            most = max(len(blocks(part.start, part.stop)) for part in map(split.part, range(split.parts)))
-            series = {"part": (split.parts, 1), **axes.times}
-            columns |= series_columns(job, axes, series)
-            if not job.per_member and split.parts > 1:
-                columns["sums"] = axes.column(
-                    {**series, "block": (most, most)}, long_name="sums over blocks of members"
-                )
-    constants = {name: constant(name, x, job) for name, x in numbers.items()} | labels(job)
-    times = columns.pop("time")
-    constants["time"] = times._replace(chunks=(min(len(job.times), _TIME_CHUNK),)), job.times
-    return skeleton(columns, attributes, constants)

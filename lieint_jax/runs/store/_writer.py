@@ -1,8 +1,7 @@
-"""The writer of a store: it creates the store or joins it, and commits the results of a part, or of the whole run."""
+"""The writer of a store: it completes a new store, and commits the results of a part, or of the whole run."""
 
 from __future__ import annotations
 
-import json
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import contextmanager
@@ -13,16 +12,13 @@ import numpy as np
 from lieint_jax.runs._storage.arrays import (
     ArrayMetadata,
     chunk_file,
-    digest_of,
     in_threads,
     raise_if_damaged,
     tail,
 )
 from lieint_jax.runs._storage.leaves import Table
 from lieint_jax.runs._storage.storage import ROOT
-from lieint_jax.runs.store._root import CARRY, ENDS, ROWS, START, PartState, Root, UnusablePartError, encode_root
-
-Constants = Mapping[str, tuple[ArrayMetadata, np.ndarray]]
+from lieint_jax.runs.store._root import CARRY, ENDS, ROWS, START, PartState, Root, UnusablePartError
 
 
 class Slab(NamedTuple):
@@ -33,28 +29,12 @@ class Slab(NamedTuple):
     values: np.ndarray
 
 
-def skeleton(metas: Mapping[str, ArrayMetadata], attributes: Table, constants: Constants) -> dict[str, bytes]:
-    """The files of a store before anything is computed: the root and its arrays' metadata, and the constants.
-
-    The same run has the same files in every process, so that all of them may write them.
-    """
-    metas = {**metas, **{name: meta for name, (meta, _) in constants.items()}}
-    files = {f"{name}/{ROOT}": json.dumps(meta.to_json(), indent=2).encode() for name, meta in metas.items()}
-    digests = {}
-    for name, (meta, values) in constants.items():
-        chunks = {chunk_file(name, key): meta.encode(block) for key, block in meta.blocks(values, (0,) * values.ndim)}
-        digests[name], files = digest_of(map(tail, chunks.values())), files | chunks
-    attributes = attributes | {"progress": START, "digests": {"arrays": digests}}
-    root = {"attributes": attributes, "zarr_format": 3, "node_type": "group"}
-    return {ROOT: encode_root(root, {name: metas[name] for name in sorted(metas)})} | files
-
-
 def join(root: Root, files: Mapping[str, bytes]) -> None:
     """Write the files of a store that its creator, killed after it had claimed the name, has not written.
 
     Args:
         root: the root of the store, which describes this run.
-        files: the `skeleton` of this run.
+        files: the `first_files` of this run.
 
     Raises:
         ValueError: the description of the run is damaged.

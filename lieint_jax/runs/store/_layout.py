@@ -1,17 +1,22 @@
-"""The arrays of a store, and its attributes: names, axes, units."""
+"""The files that a store begins with: its attributes, the metadata of its arrays, and those that a run only reads."""
 
 from __future__ import annotations
 
+import json
 from collections.abc import Mapping
 
 import numpy as np
 from numpy.typing import DTypeLike
 
 from lieint_jax.runs._job.devices import Numbers
+from lieint_jax.runs._job.dyadic_sum import blocks
 from lieint_jax.runs._job.job import Job
-from lieint_jax.runs._storage.arrays import ArrayMetadata
+from lieint_jax.runs._job.split import Split
+from lieint_jax.runs._storage.arrays import ArrayMetadata, chunk_file, digest_of, tail
 from lieint_jax.runs._storage.leaves import Table, store_name
-from lieint_jax.runs._storage.storage import StoreOptions
+from lieint_jax.runs._storage.storage import ROOT, StoreOptions
+from lieint_jax.runs.store._description import describe
+from lieint_jax.runs.store._root import FORMAT, START, encode_root
 from lieint_jax.types import labeled, leaves_by_name
 
 _RESIDUAL = "largest residual of a step since the entry before"
@@ -23,16 +28,54 @@ _MEMBER_TEXTS = {
     "last": "its last value",
     "first": "first time at which the condition was true",
 }
-_OWN = {
-    "constants",
-    "description",
-    "format",
-    "progress",
-    "digests",
-    "checksum",
-    "parts",
-    "missing",
-}  # more attributes of every store
+_MORE = {"format", "constants", "description", "progress", "digests", "checksum", "parts", "missing", "machines"}
+_TIME_CHUNK = 2**17  # entries of the array of times in one file
+
+
+def first_files(
+    job: Job, options: StoreOptions, described: Table, split: Split, in_parts: bool, remote: bool
+) -> dict[str, bytes]:
+    """The files of a store before anything is computed: the root, its arrays' metadata, and the constant arrays.
+
+    The same run has the same files in every process, so that all of them may write them.
+
+    Args:
+        job: that of all members.
+        options: the store.
+        described: the description of the run, by which it is identified.
+        split: the parts of the run.
+        in_parts, remote: as in `run_into_store`.
+
+    Raises:
+        ValueError: a name of the user's attributes is reserved.
+    """
+    largest = job.restricted(max(map(split.part, range(split.parts)), key=len))
+    rows = largest.buffer_rows(split.chunk, remote)
+    description, numbers = describe(job.step)
+    attributes = _attributes(job, options, described, split.chunk, rows) | {"progress": START}
+    attributes |= {"format": FORMAT, "constants": sorted(numbers), "description": description}
+    axes = Axes(job, split.chunk, rows)
+    metas = arrays_of_run(job, axes, options)
+    if in_parts:
+        attributes["parts"] = split.parts
+        if job.reduction is not None:
+            most = max(len(blocks(part.start, part.stop)) for part in map(split.part, range(split.parts)))
+            series = {"part": (split.parts, 1), **axes.times}
+            metas |= series_arrays(job, axes, series)
+            if not job.per_member and split.parts > 1:
+                sums = {**series, "block": (most, most)}
+                metas["sums"] = axes.array(sums, long_name="sums over blocks of members")
+    constants = {name: constant(name, x, job) for name, x in numbers.items()} | labels(job)
+    constants["time"] = metas["time"]._replace(chunks=(min(len(job.times), _TIME_CHUNK),)), job.times
+    metas = dict(sorted({**metas, **{name: meta for name, (meta, _) in constants.items()}}.items()))
+    files = {f"{name}/{ROOT}": json.dumps(meta.to_json(), indent=2).encode() for name, meta in metas.items()}
+    digests = {}
+    for name, (meta, values) in constants.items():
+        chunks = {chunk_file(name, key): meta.encode(x) for key, x in meta.blocks(values, (0,) * values.ndim)}
+        digests[name], files = digest_of(map(tail, chunks.values())), files | chunks
+    attributes["digests"] = {"arrays": digests}
+    root = {"attributes": attributes, "zarr_format": 3, "node_type": "group"}
+    return {ROOT: encode_root(root, metas)} | files
 
 
 class Axes:
@@ -43,7 +86,7 @@ class Axes:
         self.members = {"member": (job.members, chunk)}
         self._number = job.dtype
 
-    def column(
+    def array(
         self, axes: Mapping[str, tuple[int, int]], dtype: DTypeLike | None = None, **attributes: str
     ) -> ArrayMetadata:
         """The description of an array of scalars along `axes`."""
@@ -54,10 +97,10 @@ class Axes:
         """The description of an array of one leaf of the states along `axes`."""
         dims, _ = labeled.state_axes(store_name(name), leaf.shape[1:])
         sizes = {dim: (n, max(n, 1)) for dim, n in zip(dims, leaf.shape[1:], strict=True)}  # momenta may have none
-        return self.column({**axes, **sizes}, **attributes)
+        return self.array({**axes, **sizes}, **attributes)
 
 
-def columns_of(job: Job, axes: Axes, options: StoreOptions) -> dict[str, ArrayMetadata]:
+def arrays_of_run(job: Job, axes: Axes, options: StoreOptions) -> dict[str, ArrayMetadata]:
     """The arrays that readers see."""
     times, members = axes.times, axes.members
     series = job.reduction is not None
@@ -65,29 +108,29 @@ def columns_of(job: Job, axes: Axes, options: StoreOptions) -> dict[str, ArrayMe
     text = "time since the start" if job.own_times else "time"
     if job.step.own_time:
         text = "fictitious time since the start"
-    columns = {"time": axes.column(times, units=options.time_unit, long_name=text)}
+    found = {"time": axes.array(times, units=options.time_unit, long_name=text)}
     for name, leaf in leaves_by_name(job.initial if job.own_times else job.states).items():
         along, text = members if series else {**times, **members}, texts.get(name, name.removeprefix("extra."))
-        columns[store_name(name)] = axes.state(along, name, leaf, long_name=text, units=_unit(name, job, options))
+        found[store_name(name)] = axes.state(along, name, leaf, long_name=text, units=_unit(name, job, options))
     text = "first step that did not converge; -1: none; -2: not known before the end"
-    columns["first_failure"] = axes.column(members, np.int64, long_name=text, units="1")._replace(missing=-2)
+    found["first_failure"] = axes.array(members, np.int64, long_name=text, units="1")._replace(missing=-2)
     if job.per_member:
-        columns |= {name: axes.column(members, long_name=_MEMBER_TEXTS[name]) for name in job.change_names}
+        found |= {name: axes.array(members, long_name=_MEMBER_TEXTS[name]) for name in job.change_names}
     if series:
-        return columns | series_columns(job, axes, times)
+        return found | series_arrays(job, axes, times)
     text, both = "whether all steps since the entry before did", {**times, **members}
-    columns["residual"] = axes.column(both, long_name=_RESIDUAL, units="1")
-    return columns | {"converged": axes.column(both, bool, long_name=text)}
+    found["residual"] = axes.array(both, long_name=_RESIDUAL, units="1")
+    return found | {"converged": axes.array(both, bool, long_name=text)}
 
 
-def series_columns(job: Job, axes: Axes, along: Mapping[str, tuple[int, int]]) -> dict[str, ArrayMetadata]:
+def series_arrays(job: Job, axes: Axes, along: Mapping[str, tuple[int, int]]) -> dict[str, ArrayMetadata]:
     what = getattr(job.reduction, "__name__", "reduced quantity")
     text = "{} change of {} since the start, over members and steps"
     changes = () if job.per_member else ("least", "greatest", "mean")
     return {
-        **{name: axes.column(along, long_name=text.format(name, what)) for name in changes},
-        "residual": axes.column(along, long_name=_RESIDUAL, units="1"),
-        "unconverged": axes.column(along, np.int64, long_name="members with a step that did not", units="1"),
+        **{name: axes.array(along, long_name=text.format(name, what)) for name in changes},
+        "residual": axes.array(along, long_name=_RESIDUAL, units="1"),
+        "unconverged": axes.array(along, np.int64, long_name="members with a step that did not", units="1"),
     }
 
 
@@ -120,12 +163,8 @@ def _unit(name: str, job: Job, options: StoreOptions) -> str:
     return f"unit of inertia / {options.time_unit}{power}" if rigid and power is not None else "1"
 
 
-def attributes_of(job: Job, options: StoreOptions, described: Table, chunk: int, rows: int) -> Table:
-    """The attributes of a store, except those that describe its arrays and its progress.
-
-    Raises:
-        ValueError: a name of the user's attributes is reserved.
-    """
+def _attributes(job: Job, options: StoreOptions, described: Table, chunk: int, rows: int) -> Table:
+    """The attributes of a store that describe its run."""
     own = {
         "leaves": list(leaves_by_name(job.initial)),
         "time_unit": options.time_unit,
@@ -143,7 +182,6 @@ def attributes_of(job: Job, options: StoreOptions, described: Table, chunk: int,
         "member_chunk": chunk,
         "run": described,
     }
-    reserved = sorted(map(str, options.attributes.keys() & (own.keys() | _OWN)))
-    if reserved:
+    if reserved := sorted(map(str, options.attributes.keys() & (own.keys() | _MORE))):
         raise ValueError(f"attributes of a store may not be called {', '.join(reserved)}: these names are reserved")
     return {"title": job.step.name} | own | dict(options.attributes)
