@@ -79,7 +79,7 @@ class ArrayMetadata(NamedTuple):
                 {"name": "crc32c"},
             ],
             "attributes": self.attributes,
-            "dimension_names": list(self.dims),
+            **({"dimension_names": list(self.dims)} if self.dims else {}),
             "zarr_format": 3,
             "node_type": "array",
             "storage_transformers": [],
@@ -94,7 +94,7 @@ class ArrayMetadata(NamedTuple):
         """
         try:
             shape, chunks = (*table["shape"],), (*table["chunk_grid"]["configuration"]["chunk_shape"],)
-            kind, dims, missing = table["data_type"], (*table["dimension_names"],), table["fill_value"]
+            kind, dims, missing = table["data_type"], (*table.get("dimension_names", ()),), table["fill_value"]
             dtype = np.dtypes.StringDType() if kind == _TEXT else np.dtype(kind)
             found = cls(shape, dtype, chunks, dims, table["attributes"], missing if type(missing) is int else None)
             lengths_are_counts = all(type(n) is int and 0 <= n <= _MAX_LENGTH for n in (*shape, *chunks))

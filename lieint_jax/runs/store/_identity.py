@@ -16,7 +16,7 @@ import numpy as np
 from jax.sharding import Mesh
 
 from lieint_jax.runs._job import devices
-from lieint_jax.runs._job.digests import digest_of_arrays, digest_of_states, reason_of
+from lieint_jax.runs._job.digests import digest_of_arrays, reason_of
 from lieint_jax.runs._job.engine import Engine
 from lieint_jax.runs._job.facts import package_versions
 from lieint_jax.runs._job.job import Job
@@ -24,6 +24,7 @@ from lieint_jax.runs._job.loop import compiler_options
 from lieint_jax.runs._march.clock import GridClock
 from lieint_jax.runs._storage.leaves import Table
 from lieint_jax.runs._storage.storage import Address
+from lieint_jax.types import leaves_by_name
 
 _MACHINE = ("device", "engine", "compiler_options", "XLA_FLAGS")  # keys of a description, besides the versions
 _EQUATIONS = ("equations of the step", "equations of reduce", "equations of first", "states that the function makes")
@@ -43,8 +44,13 @@ def description(job: Job, engine: Engine, scenario: object = None) -> Table:
         "scheme": job.step.name,
         "system": type(job.step.system).__name__,
         **engine.equations,
-        "numbers of the step": digest_of_arrays(*jax.tree.leaves(job.step)),
-        "initial states": digest_of_states(job.initial) if job.make_states is None else None,
+        "numbers of the step": {
+            jax.tree_util.keystr(path, simple=True, separator="."): digest_of_arrays(leaf)
+            for path, leaf in jax.tree_util.tree_leaves_with_path(job.step)
+        },
+        "initial states": None
+        if job.make_states is not None
+        else {name: digest_of_arrays(leaf) for name, leaf in leaves_by_name(job.initial).items()},
         "states that the function makes": None if job.make_states is None else job.make_states.digest(),
         "members": job.members,
         "dt": job.dt,
@@ -134,10 +140,12 @@ def differences(stored: Mapping[str, object], now: Mapping[str, object], prefix:
     lines = []
     for key in sorted(stored.keys() | now.keys()):
         a, b = stored.get(key), now.get(key)
-        if isinstance(a, Mapping) and isinstance(b, Mapping):
+        both = isinstance(a, Mapping) and isinstance(b, Mapping)
+        if a != b and key in _DIGESTS:
+            names = sorted(name for name in a.keys() | b.keys() if a.get(name) != b.get(name)) if both else []
+            lines.append(f"the {key} differ" + (f" ({', '.join(names)})" if names else ""))
+        elif both:
             lines += differences(a, b, f"{prefix}{key}.")
-        elif a != b and key in _DIGESTS:
-            lines.append(f"the {key} differ")
         elif a != b:
             lines.append(f"{prefix}{key} is {a!r} in the store and {b!r} here")
     return lines
