@@ -21,7 +21,8 @@ from lieint_jax.runs._storage.leaves import Table
 from lieint_jax.runs._storage.storage import REQUESTS, ROOT, Address, Storage
 from lieint_jax.runs._storage.untrusted import parse_json
 
-_S, _T = TypeVar("_S"), TypeVar("_T")
+_S = TypeVar("_S")
+_T = TypeVar("_T")
 _MAX_FILES = 10**6  # of an array's row of chunks along time
 _MAX_LENGTH = 10**15  # of an axis
 _CHUNK_BYTES = 2**30
@@ -135,7 +136,7 @@ class ArrayMetadata(NamedTuple):
     def encode(self, values: np.ndarray) -> bytes:
         """The content of the file of a chunk of these values; a chunk at the end of an axis may have fewer than fit."""
         import google_crc32c
-        from numcodecs import zstd
+        from numcodecs import zstd  # pyright: ignore[reportAttributeAccessIssue]
 
         if values.shape != self.chunks:
             whole = np.full(self.chunks, self.fill, self.dtype)
@@ -153,7 +154,7 @@ class ArrayMetadata(NamedTuple):
         Raises:
             ValueError: the checksum is wrong, or it is the chunk of another array.
         """
-        from numcodecs import zstd
+        from numcodecs import zstd  # pyright: ignore[reportAttributeAccessIssue]
 
         if not is_whole(data):
             raise ValueError("its checksum is wrong")

@@ -140,12 +140,13 @@ def differences(stored: Mapping[str, object], now: Mapping[str, object], prefix:
     lines = []
     for key in sorted(stored.keys() | now.keys()):
         a, b = stored.get(key), now.get(key)
-        both = isinstance(a, Mapping) and isinstance(b, Mapping)
-        if a != b and key in _DIGESTS:
-            names = sorted(name for name in a.keys() | b.keys() if a.get(name) != b.get(name)) if both else []
-            lines.append(f"the {key} differ" + (f" ({', '.join(names)})" if names else ""))
-        elif both:
-            lines += differences(a, b, f"{prefix}{key}.")
+        if isinstance(a, Mapping) and isinstance(b, Mapping):
+            if key not in _DIGESTS:
+                lines += differences(a, b, f"{prefix}{key}.")
+            elif names := sorted(name for name in a.keys() | b.keys() if a.get(name) != b.get(name)):
+                lines.append(f"the {key} differ ({', '.join(names)})")
+        elif a != b and key in _DIGESTS:
+            lines.append(f"the {key} differ")
         elif a != b:
             lines.append(f"{prefix}{key} is {a!r} in the store and {b!r} here")
     return lines

@@ -139,7 +139,7 @@ def load(root: Root, thorough: bool, part: tuple[int, PartState] | None = None) 
         for name, array in arrays.items()
         if array.meta.dims[:2] == ("time", "member")
     }
-    times = arrays["time"].read(np.arange(progress["entries"]))
+    times: Any = arrays["time"].read(np.arange(progress["entries"]))
     state = states_in(found, times, attributes | {"members": len(members)})
     info: Any = StepInfo(found["residual"], found["converged"])  # pyright: ignore[reportArgumentType]
     failed = arrays["first_failure"].read(np.array(members)) if progress["complete"] else None
