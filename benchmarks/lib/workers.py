@@ -22,9 +22,9 @@ from lieint_jax.runs import store as archives
 from lieint_jax.runs._job.engine import Engine
 from lieint_jax.runs._plan import Plan, make_plan
 from lieint_jax.runs._storage.bucket import Bucket
-from lieint_jax.runs._storage.storage import Url, address
-from lieint_jax.runs.store import StoreOptions, _identity, _into_store
-from lieint_jax.runs.store._root import ROOT, Root, read_root
+from lieint_jax.runs._storage.storage import ROOT, Url, address
+from lieint_jax.runs.store import StoreOptions, _identity, _layout
+from lieint_jax.runs.store._root import Root, read_root
 from lieint_jax.runs.store._writer import Slab, Writer, join
 
 MEMBERS = 2  # of a simulated worker; its requests are timed as if they had the bytes of all members
@@ -175,7 +175,7 @@ class Simulation:
         self.url = address(str(options.path))
         described = _identity.description(self.plan, Engine(self.plan, "native"))
         with mock.patch.object(Plan, "buffer_rows", return_value=model.rows):
-            self.files = _into_store._skeleton(self.plan, options, described, self.plan.split(), True)
+            self.files = _layout.first_files(self.plan, options, described, self.plan.split(), True)
         self.created = 0
 
     def run(self) -> list[Outcome]:

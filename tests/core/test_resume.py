@@ -18,10 +18,10 @@ import lieint_jax as li
 MEMBERS = 256
 
 
-def run(rate, path=None, last=1.0, **options):
+def run(rate, path=None, last=1.0, members=MEMBERS, **options):
     """A run of attitudes that rotate at a given rate, from times up to the last one."""
     spin = li.systems.kinematics(li.groups.so3, rate)
-    states = jax.vmap(lambda t: spin.state(t=t))(jnp.linspace(0.0, last, MEMBERS))
+    states = jax.vmap(lambda t: spin.state(t=t))(jnp.linspace(0.0, last, members))
     options = dict(dt=0.01, num_steps=600, save_every=100, progress=False, store=path) | options
     return li.run(li.schemes.magnus(spin, order=2), states, **options)
 
@@ -110,13 +110,37 @@ def test_the_function_that_differs_is_named(tmp_path, others, sentence):
 
 
 @pytest.mark.usefixtures("no_loop")
+@pytest.mark.parametrize(
+    ("others", "sentence"),
+    [
+        (dict(dt=0.02), r"dt is 0\.01 in the store and 0\.02 here"),
+        (dict(save_every=200), "save_every is 100 in the store and 200 here"),
+        (
+            dict(save_every=None, save_at=[0.5, 1.2]),
+            r"the equations .*; save_every is 100 in .* here; the times of save_at differ",
+        ),
+        (dict(num_steps=500), "num_steps is 600 in the store and 500 here"),
+        (dict(members=255), r"the initial states differ \(p, q, t\); members is 256 in the store and 255 here"),
+        (dict(last=2.0), r"the initial states differ \(t\)"),
+        (dict(reduce="energy"), "the equations of reduce differ; reduce is None in the store and 'energy' here"),
+        (dict(epoch="2020-01-01 TDB"), "epoch is None in the store and '2020-01-01.*' here"),
+    ],
+    ids=lambda x: next(iter(x)) if isinstance(x, dict) else "",
+)
+def test_the_argument_that_differs_is_named(tmp_path, others, sentence):
+    begin(turning(1.0), tmp_path / "run.zarr")
+    with pytest.raises(ValueError, match=rf"cannot be resumed by this one: {sentence}$"):
+        run(turning(1.0), tmp_path / "run.zarr", resume=True, **others)
+
+
+@pytest.mark.usefixtures("no_loop")
 def test_numbers_of_a_law_are_compared_as_those_of_the_step(tmp_path):
     def rate(k):
         return jax.tree_util.Partial(lambda k, t: k * jnp.array([jnp.cos(t), 0.3, 0.0]), k)
 
     begin(rate(0.1), tmp_path / "run.zarr")
     begin(rate(0.1), tmp_path / "run.zarr", resume=True)
-    with pytest.raises(ValueError, match=r"by this one: the numbers of the step differ$"):
+    with pytest.raises(ValueError, match=r"by this one: the numbers of the step differ \(system\.rate\.0\.0\)$"):
         run(rate(0.7), tmp_path / "run.zarr", resume=True)
 
 
@@ -149,7 +173,8 @@ def test_a_system_for_each_member_and_constants_of_a_step_are_compared(tmp_path,
     for resume in (False, True):
         with pytest.raises(Begun):
             begin(J, resume)
-    with pytest.raises(ValueError, match=r"the initial states differ; the numbers of the step differ$"):
+    named = r"the initial states differ \(p\); the numbers of the step differ \(system\.inertia\)$"
+    with pytest.raises(ValueError, match=named):
         begin(1.1 * J, resume=True)
     with pytest.raises(ValueError, match="the equations of reduce differ; reduce is"):
         begin(J, resume=True, reduce=lambda step, z: step.system.energy(z) + 0)

@@ -228,7 +228,10 @@ def test_a_resume_with_another_run_is_refused_and_says_why(tmp_path, small_chunk
             r"scheme is 'so3_midpoint\[symplectic\]' in the store",
         ),
         (dict(step=li.schemes.so3_midpoint(BODY, iterations=7)), "the equations of the step differ"),
-        (dict(step=li.schemes.so3_midpoint(li.systems.rigid_body([1.0, 2.0, 2.5]))), "the numbers of the step differ"),
+        (
+            dict(step=li.schemes.so3_midpoint(li.systems.rigid_body([1.0, 2.0, 2.5]))),
+            r"step differ \(system\.inertia\)",
+        ),
         (dict(reduce="energy"), "reduce is None in the store and 'energy' here"),
     ):
         with pytest.raises(ValueError, match=message):
@@ -401,7 +404,7 @@ def test_folders_that_a_killed_process_made_are_synced_by_the_next(tmp_path, mon
 
 
 def left_by_a_kill(path, chunk, **options):
-    """The folders of the unfinished files that a run leaves which is killed while it writes this chunk to the disk."""
+    """The folders of the unfinished files that a run leaves which is killed while it waits for this chunk's disk."""
     sync, chunks = os.fsync, itertools.count()
 
     def fsync(descriptor):
@@ -413,14 +416,14 @@ def left_by_a_kill(path, chunk, **options):
         patch.setattr(os, "fsync", fsync)
         patch.setattr(Path, "unlink", lambda *_, **__: None)
         run(path, **options)
-    return [file.relative_to(path).parent.as_posix() for file in path.rglob("*.partial")]
+    return {file.relative_to(path).parent.as_posix() for file in path.rglob("*.partial")}
 
 
 @pytest.mark.quick
 @pytest.mark.parametrize("chunk", [0, 7])
 def test_an_unfinished_file_of_a_killed_process_is_removed_by_the_next(tmp_path, small_chunks, chunk):
     path = tmp_path / "run.zarr"
-    assert left_by_a_kill(path, chunk) == ["parts/0"]
+    assert left_by_a_kill(path, chunk) == {"parts/0"}
     run(path, resume=True)
     assert not list(path.rglob("*.partial"))
 
@@ -429,9 +432,10 @@ def test_an_unfinished_file_of_a_killed_process_is_removed_by_the_next(tmp_path,
 def test_an_unfinished_file_of_another_part_is_not_removed(tmp_path, small_chunks):
     """Its process may be alive."""
     path = tmp_path / "run.zarr"
-    assert left_by_a_kill(path, 3, part=(0, 2)) == ["parts/0"]
+    assert left_by_a_kill(path, 3, part=(0, 2)) == {"parts/0"}
+    left = list(path.rglob("*.partial"))
     run(path, part=(1, 2), resume=True)
-    assert len(list(path.rglob("*.partial"))) == 1
+    assert left == list(path.rglob("*.partial"))
     run(path, part=(0, 2), resume=True)
     assert not list(path.rglob("*.partial"))
 

@@ -87,12 +87,6 @@ class Bucket(Storage):
 
         return self._retry(folder, listed)
 
-    def zarr_store(self) -> Any:
-        """See `Storage`."""
-        from zarr.storage import ObjectStore
-
-        return ObjectStore(self._store, read_only=True)
-
     def _retry(self, name: str, request: Callable[[Any], _T]) -> _T:
         """The result of a request, which is repeated while it fails for a reason that may pass."""
         import obstore

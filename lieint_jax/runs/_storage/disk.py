@@ -6,12 +6,15 @@ import contextlib
 import glob
 import os
 import shutil
+import stat
 import time
-from collections.abc import Iterator, Mapping
+from collections import deque
+from collections.abc import Iterable, Iterator, Mapping
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
-from typing import Any
 
-from lieint_jax.runs._storage.storage import Storage
+from lieint_jax.runs._storage.storage import REQUESTS, Storage
+from lieint_jax.runs._storage.untrusted import check_size
 
 _STALE = 3600.0  # seconds after which an unfinished store is removed, as that of a process that was killed
 
@@ -24,6 +27,7 @@ class Disk(Storage):
     def __init__(self, path: Path) -> None:
         self.address = self._path = path
         self._unfinished: Path | None = None  # the folder for files that are not complete; None: their own
+        self._staged: list[tuple[Path, Path]] = []  # complete files, and their places, in which they are not yet
         self._changed: set[Path] = set()  # folders whose entries may not be on disk
         self._made: set[Path] = set()  # folders whose own entries are on disk, or in the set above
 
@@ -44,20 +48,26 @@ class Disk(Storage):
         self._make(target.parent)
         folder = self._unfinished or target.parent
         file = folder / f".{target.name}.{os.getpid()}-{os.urandom(4).hex()}.partial"
-        try:
-            with file.open("xb") as f:
-                f.write(data)
-                f.flush()
-                os.fsync(f.fileno())
-            file.rename(target)
-        finally:
-            file.unlink(missing_ok=True)
-        self._changed.add(target.parent)
+        self._staged.append((file, target))
+        with file.open("xb") as f:
+            f.write(data)
 
     def settle(self) -> None:
-        """See `Storage`: wait for the entries of the folders."""
-        while self._changed:
-            _sync(self._changed.pop())
+        """See `Storage`: wait for the contents of all files, rename these, and wait for the entries of the folders."""
+        try:
+            _sync_all(file for file, _ in self._staged)
+            for file, target in self._staged:
+                file.rename(target)
+                self._changed.add(target.parent)
+        finally:
+            self._discard()
+        changed, self._changed = self._changed, set()
+        _sync_all(changed)
+
+    def _discard(self) -> None:
+        """Remove the staged files that have not come into their places."""
+        while self._staged:
+            self._staged.pop()[0].unlink(missing_ok=True)
 
     def create_store(self, root: str, files: Mapping[str, bytes]) -> bool:
         """See `Storage`: under a temporary name, which is changed at last, so that the store never exists in part."""
@@ -120,14 +130,28 @@ class Disk(Storage):
             self._unfinished = path
             yield
         finally:
+            self._discard()
             self._unfinished = None
             os.close(descriptor)
 
-    def zarr_store(self) -> Any:
-        """See `Storage`."""
-        from zarr.storage import LocalStore
-
-        return LocalStore(self._path, read_only=True)
+    def check(self) -> int:
+        """See `Storage`. Links to folders, which lead out of the store, are refused, too."""
+        count, path = 0, self._path
+        for folder, folders, names in os.walk(path):
+            for link in (Path(folder, name) for name in folders if os.path.islink(Path(folder, name))):
+                raise ValueError(f"{link.relative_to(path)} is a link to a folder")
+            for file in (Path(folder, name) for name in names):
+                try:
+                    status = file.stat()
+                except FileNotFoundError:
+                    if file.is_symlink():
+                        raise ValueError(f"{file.relative_to(path)} is a link to nothing") from None
+                    continue  # a temporary file of a run that is writing
+                if not stat.S_ISREG(status.st_mode):
+                    raise ValueError(f"{file.relative_to(path)} is a device, a pipe or a socket")
+                check_size(file.relative_to(path).as_posix(), status.st_size)
+                count += 1
+        return count
 
 
 @contextlib.contextmanager
@@ -137,6 +161,17 @@ def _missing_folder() -> Iterator[None]:
         yield
     except NotADirectoryError as error:
         raise FileNotFoundError(*error.args) from None
+
+
+def _sync_all(paths: Iterable[Path]) -> None:
+    """Wait until files or folders are on disk, at the same time: a journal writes all that wait for it at once."""
+    paths = list(paths)
+    if len(paths) < 2:  # a pool of threads costs a millisecond
+        for path in paths:
+            _sync(path)
+        return
+    with ThreadPoolExecutor(min(len(paths), REQUESTS)) as pool:
+        deque(pool.map(_sync, paths), maxlen=0)
 
 
 def _sync(path: Path) -> None:

@@ -19,7 +19,10 @@ from urllib.parse import urlsplit
 
 from lieint_jax.types.record import record
 
+ROOT = "zarr.json"  # the file of the metadata of an array, and of those of a whole store
+REQUESTS = 16  # at the same time, to object storage or to a disk
 _SCHEMES = ("s3", "gs", "az", "memory")
+_MOST_FILES = 10**12  # of a store
 _URL_AS_PATH = re.compile(rf"^({'|'.join(_SCHEMES)}):/(?!/)")  # as an option of type Path: pathlib removes a slash
 
 
@@ -128,10 +131,13 @@ class Storage(abc.ABC):
 
     @abc.abstractmethod
     def stage(self, name: str, data: bytes) -> None:
-        """Replace or create a file in one indivisible step; after `settle` it outlasts a loss of power."""
+        """Begin to replace or create a file in one indivisible step, which is done at the latest by `settle`."""
 
     def settle(self) -> None:  # noqa: B027
-        """Wait until all that is staged outlasts a loss of power; where each request has waited, nothing is to do."""
+        """Wait until all that is staged is in its place and outlasts a loss of power.
+
+        Where each request has waited, nothing is to do.
+        """
 
     def put(self, name: str, data: bytes) -> None:
         """Replace or create a file in one indivisible step; when it returns, the file outlasts a loss of power."""
@@ -154,16 +160,22 @@ class Storage(abc.ABC):
         """A context in which no other process of this machine locks the folder, where the storage has locks."""
         return contextlib.nullcontext()
 
-    @abc.abstractmethod
-    def zarr_store(self) -> Any:
-        """Zarr's own store of these files, for reading."""
+    def check(self) -> int:
+        """Check that all files are ordinary ones, with metadata of bounded size, and return their number.
+
+        Object storage has no other ones, and to count them would need requests: for it the number is a limit.
+
+        Raises:
+            ValueError: something is a device, a pipe or a link to nothing, or has a name that leads out of the store.
+        """
+        return _MOST_FILES
 
     def has_store(self) -> bool:
         """True if there is a store, or on a disk anything else of its name."""
         if isinstance(self.address, Path):
             return os.path.lexists(self.address)
         try:
-            self.tail("zarr.json")
+            self.tail(ROOT)
         except FileNotFoundError:
             return False
         return True

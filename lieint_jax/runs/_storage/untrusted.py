@@ -9,15 +9,17 @@ from __future__ import annotations
 import contextlib
 import json
 import os
+import re
 import stat
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
 from lieint_jax import _checks
-from lieint_jax.runs._storage.storage import Address
+from lieint_jax.runs._storage.storage import ROOT, Address
 
-JSON_BYTES, _JSON_DEPTH = 2**26, 64  # the most of a description
+NAME = re.compile(r"(?!\.)[^/\\\x00-\x1f\x7f-\x9f]+")  # of a file or an array in a store
+_JSON_BYTES, _JSON_DEPTH = 2**26, 64  # the most of a description
 _REASON = 1000  # characters of a reason in a message
 
 
@@ -61,9 +63,15 @@ def refuse_special(path: Path) -> None:
         raise UnreadableError(f"{path} is a device, a pipe or a socket; give a folder NAME.zarr or a file NAME.zip")
 
 
+def check_size(name: str, size: int) -> None:
+    """Raise ValueError if a file of metadata has more bytes than that of any run."""
+    if name.endswith(ROOT) and size > _JSON_BYTES:
+        raise ValueError(f"{name} has {_checks.spoken_size(size)}")
+
+
 def parse_json(text: str | bytes) -> Any:
     """The value of a JSON text of bounded size and depth."""
-    if len(text) > JSON_BYTES:
+    if len(text) > _JSON_BYTES:
         raise ValueError(f"its description has {_checks.spoken_size(len(text))}, more than that of any run")
     try:
         found = json.loads(text)

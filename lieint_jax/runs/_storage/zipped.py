@@ -8,11 +8,11 @@ import zipfile
 from collections.abc import Mapping
 from functools import cached_property
 from pathlib import Path
-from typing import Any, NoReturn
+from typing import NoReturn
 
 from lieint_jax import _checks
-from lieint_jax.runs._storage.kinds import NAME
 from lieint_jax.runs._storage.storage import Storage
+from lieint_jax.runs._storage.untrusted import NAME, check_size
 
 _ENCRYPTED = 0x1  # a flag of an entry
 
@@ -57,11 +57,30 @@ class Zipped(Storage):
         """See `Storage`: `zip_folder` makes one."""
         self.stage(root, files[root])
 
-    def zarr_store(self) -> Any:
-        """See `Storage`."""
-        from zarr.storage import ZipStore
+    def check(self) -> int:
+        """See `Storage`.
 
-        return ZipStore(self._path, mode="r", read_only=True)
+        Raises:
+            ValueError: a file has a name that leads elsewhere, is a link, encrypted or compressed, or occurs twice; or
+                they overlap, so that they have more bytes than the zip file.
+        """
+        total, seen = 0, set()
+        for entry in self._archive.infolist():
+            name, kind = entry.filename, stat.S_IFMT(entry.external_attr >> 16)
+            if not all(map(NAME.fullmatch, name.split("/"))) or kind not in (0, stat.S_IFREG):
+                raise ValueError(f"{name!r} is not the name of an ordinary file of a store")
+            if name in seen:
+                raise ValueError(f"it has two files {name}")
+            if entry.flag_bits & _ENCRYPTED:
+                raise ValueError(f"{name} is encrypted")
+            if entry.compress_type != zipfile.ZIP_STORED or entry.compress_size != entry.file_size:
+                raise ValueError(f"{name} is compressed, which no store is: zip the content of its folder by zip -0rD")
+            check_size(name, entry.file_size)
+            total += entry.file_size
+            seen.add(name)
+        if total > (size := self._path.stat().st_size):
+            raise ValueError(f"its {_checks.spoken_size(size)} would expand to {_checks.spoken_size(total)}")
+        return len(seen)
 
 
 def zip_folder(folder: Path, path: Path) -> None:
@@ -72,30 +91,3 @@ def zip_folder(folder: Path, path: Path) -> None:
                 archive.writestr(zipfile.ZipInfo(part.relative_to(folder).as_posix()), part.read_bytes())
         file.flush()
         os.fsync(file.fileno())
-
-
-def checked_sizes(path: Path) -> dict[str, int]:
-    """The number of bytes of each file in a zip file.
-
-    Raises:
-        ValueError: one has a name that leads elsewhere, is a link, encrypted or compressed, or occurs twice; or they
-            overlap, so that they have more bytes than the zip file.
-    """
-    with zipfile.ZipFile(path) as archive:
-        entries = archive.infolist()
-    found: dict[str, int] = {}
-    for entry in entries:
-        name, kind = entry.filename, stat.S_IFMT(entry.external_attr >> 16)
-        if not all(map(NAME.fullmatch, name.split("/"))) or kind not in (0, stat.S_IFREG):
-            raise ValueError(f"{name!r} is not the name of an ordinary file of a store")
-        if name in found:
-            raise ValueError(f"it has two files {name}")
-        if entry.flag_bits & _ENCRYPTED:
-            raise ValueError(f"{name} is encrypted")
-        if entry.compress_type != zipfile.ZIP_STORED or entry.compress_size != entry.file_size:
-            raise ValueError(f"{name} is compressed, which no store is: zip the content of its folder by zip -0rD")
-        found[name] = entry.file_size
-    size, total = path.stat().st_size, sum(found.values())
-    if total > size:
-        raise ValueError(f"its {_checks.spoken_size(size)} would expand to {_checks.spoken_size(total)}")
-    return found

@@ -12,7 +12,7 @@ from pathlib import Path
 
 import jax
 
-from lieint_jax.runs._job.digests import digest_of_arrays, digest_of_states, reason_of
+from lieint_jax.runs._job.digests import digest_of_arrays, reason_of
 from lieint_jax.runs._job.engine import Engine
 from lieint_jax.runs._job.facts import package_versions
 from lieint_jax.runs._job.loop import compiler_options
@@ -20,6 +20,7 @@ from lieint_jax.runs._march.clock import GridClock
 from lieint_jax.runs._plan import Plan
 from lieint_jax.runs._storage.leaves import Table
 from lieint_jax.runs._storage.storage import Address
+from lieint_jax.types import leaves_by_name
 
 _MACHINE = ("device", "engine", "compiler_options", "XLA_FLAGS")  # keys of a description, besides the versions
 _EQUATIONS = ("equations of the step", "equations of reduce", "equations of first", "states that the function makes")
@@ -38,8 +39,13 @@ def description(plan: Plan, engine: Engine) -> Table:
         "scheme": plan.step.name,
         "system": type(plan.step.system).__name__,
         **engine.equations,
-        "numbers of the step": digest_of_arrays(*jax.tree.leaves(plan.step)),
-        "initial states": digest_of_states(plan.states) if plan.make_states is None else None,
+        "numbers of the step": {
+            jax.tree_util.keystr(path, simple=True, separator="."): digest_of_arrays(leaf)
+            for path, leaf in jax.tree_util.tree_leaves_with_path(plan.step)
+        },
+        "initial states": None
+        if plan.make_states is not None
+        else {name: digest_of_arrays(leaf) for name, leaf in leaves_by_name(plan.states).items()},
         "states that the function makes": None if plan.make_states is None else plan.make_states.digest(),
         "members": plan.members,
         "dt": plan.dt,
@@ -108,7 +114,10 @@ def differences(stored: Mapping[str, object], now: Mapping[str, object], prefix:
     for key in sorted(stored.keys() | now.keys()):
         a, b = stored.get(key), now.get(key)
         if isinstance(a, Mapping) and isinstance(b, Mapping):
-            lines += differences(a, b, f"{prefix}{key}.")
+            if key not in _DIGESTS:
+                lines += differences(a, b, f"{prefix}{key}.")
+            elif names := sorted(name for name in a.keys() | b.keys() if a.get(name) != b.get(name)):
+                lines.append(f"the {key} differ ({', '.join(names)})")
         elif a != b and key in _DIGESTS:
             lines.append(f"the {key} differ")
         elif a != b:

@@ -7,21 +7,18 @@ from collections.abc import Callable
 from functools import partial
 
 from lieint_jax.runs._job.digests import digest_of_states
-from lieint_jax.runs._job.dyadic_sum import blocks
 from lieint_jax.runs._job.engine import Engine
 from lieint_jax.runs._job.split import Split
 from lieint_jax.runs._plan import Plan
 from lieint_jax.runs._storage.files import open_storage
 from lieint_jax.runs._storage.leaves import Saves, Table
-from lieint_jax.runs._storage.storage import Storage, StoreOptions, check_json, checked_path
+from lieint_jax.runs._storage.storage import ROOT, Storage, check_json, checked_path
 from lieint_jax.runs.store import _identity
-from lieint_jax.runs.store._columns import Axes, attributes_of, columns_of, constant, labels, series_columns
-from lieint_jax.runs.store._description import describe
-from lieint_jax.runs.store._open_store import check_store, described_root
+from lieint_jax.runs.store._layout import first_files
 from lieint_jax.runs.store._reading import read_part
-from lieint_jax.runs.store._root import FORMAT, ROOT, Root
+from lieint_jax.runs.store._root import Root, check_store, open_root, written_root
 from lieint_jax.runs.store._store_output import StoreOutput
-from lieint_jax.runs.store._writer import Writer, join, skeleton
+from lieint_jax.runs.store._writer import Writer, join
 
 
 def run_into_store(whole: Plan, engine: Engine, integrate: Callable[[StoreOutput], object]) -> Saves:
@@ -41,7 +38,7 @@ def run_into_store(whole: Plan, engine: Engine, integrate: Callable[[StoreOutput
     in_parts = whole.part is not None or storage.is_remote  # other processes may write at the same time
     check_json(options.attributes)
     described = _identity.description(whole, engine)
-    first_files = partial(_skeleton, whole, options, described, split, in_parts)
+    new_files = partial(first_files, whole, options, described, split, in_parts)
     exists = storage.has_store()
     if exists and not whole.resume:
         raise ValueError(
@@ -50,12 +47,12 @@ def run_into_store(whole: Plan, engine: Engine, integrate: Callable[[StoreOutput
     if not exists:
         if not in_parts:  # whose other parts must be comparable
             _identity.warn_of_no_resume(described)
-        exists = not _is_created(storage, first_files(), in_parts)
+        exists = not _is_created(storage, new_files(), in_parts)
     root = _root_of(storage, described if exists or in_parts else None, split, in_parts, whole.same_bits)
     with contextlib.ExitStack() as stack:
         stack.enter_context(root.storage.lock(root.folder(k)))
         if in_parts:
-            join(root, first_files())
+            join(root, new_files())
         initial, machine = digest_of_states(plan.states), _identity.machine_of(described)
         writer = stack.enter_context(contextlib.closing(Writer(root, k, initial, machine, whole.same_bits)))
         if not writer.progress["complete"]:
@@ -74,7 +71,9 @@ def _is_created(storage: Storage, files: dict[str, bytes], in_parts: bool) -> bo
 
 def _root_of(storage: Storage, described: Table | None, split: Split, in_parts: bool, same_bits: bool) -> Root:
     """The root of a store, if it is that of the run described and in these parts; None: this run has just made it."""
-    found = (described_root if described is None or in_parts else check_store)(storage.address)
+    if described is None:
+        return written_root(storage)
+    found = (open_root if in_parts else check_store)(storage.address)
     count = found.split.parts
     if found.in_parts and not in_parts:
         raise ValueError(
@@ -82,33 +81,7 @@ def _root_of(storage: Storage, described: Table | None, split: Split, in_parts: 
         )
     if in_parts and not found.in_parts:
         raise ValueError(f"{storage.address} was not written in parts; choose another store")
-    if described is not None:
-        _identity.check_same(storage.address, found.attributes, described, same_bits)
+    _identity.check_same(storage.address, found.attributes, described, same_bits)
     if count != split.parts:
         raise ValueError(f"{storage.address} is written in {count} part(s), not in {split.parts}")
     return found
-
-
-def _skeleton(plan: Plan, options: StoreOptions, described: Table, split: Split, in_parts: bool) -> dict[str, bytes]:
-    """The files that a store begins with; `plan` is that of all members."""
-    members = max(map(split.part, range(split.parts)), key=len)
-    largest = plan.select(slice(members.start, members.stop))
-    rows = largest.buffer_rows(split.chunk)
-    description, numbers = describe(plan.step)
-    attributes = attributes_of(plan, options, described, split.chunk, rows)
-    attributes |= {"format": FORMAT, "constants": sorted(numbers), "description": description}
-    axes = Axes(plan, split.chunk, rows)
-    columns = columns_of(plan, axes, options)
-    if in_parts:
-        attributes["parts"] = split.parts
-        if plan.reduction is not None:
-            most = max(len(blocks(part.start, part.stop)) for part in map(split.part, range(split.parts)))
-            series = {"part": (split.parts, 1), **axes.times}
-            columns |= series_columns(plan, axes, series)
-            if not plan.per_member and split.parts > 1:
-                columns["sums"] = axes.column(
-                    {**series, "block": (most, most)}, long_name="sums over blocks of members"
-                )
-    constants = {name: constant(name, x, plan) for name, x in numbers.items()} | labels(plan)
-    constants["time"] = columns.pop("time"), plan.times
-    return skeleton(columns, attributes, constants)

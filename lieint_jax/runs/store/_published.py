@@ -8,8 +8,7 @@ from typing import Any
 import numpy as np
 
 from lieint_jax.runs._job.dyadic_sum import blocks, total
-from lieint_jax.runs._storage.chunks import dims_of, first_of, is_along_time
-from lieint_jax.runs._storage.files import open_zarr
+from lieint_jax.runs._storage.arrays import StoredArray, first_of
 from lieint_jax.runs._storage.leaves import Saves, states_in
 from lieint_jax.runs._storage.untrusted import UnreadableError
 from lieint_jax.runs.store._root import PartState, Root
@@ -19,7 +18,7 @@ from lieint_jax.types import StepInfo, Trajectory
 class PublishedArray:
     """An array of a store, (time, member, …), read where it is indexed; it is NaN where nothing is published.
 
-    Flags are False there, and counts −1. It has the attributes and the indexing of a Zarr array.
+    Flags are False there, and counts −1. It has the attributes and the indexing of an array of NumPy.
 
     Args:
         array: the whole array.
@@ -30,10 +29,10 @@ class PublishedArray:
         dtype, shape: those of the array.
     """
 
-    def __init__(self, array: Any, entries: int, members: range, parts: list[tuple[int, int]]) -> None:
+    def __init__(self, array: StoredArray, entries: int, members: range, parts: list[tuple[int, int]]) -> None:
         self._array, self._members, self._parts = array, members, parts
-        self.dtype: np.dtype = array.dtype
-        self.shape: tuple[int, ...] = (entries, len(members), *array.shape[2:])
+        self.dtype = array.meta.dtype
+        self.shape = (entries, len(members), *array.meta.shape[2:])
 
     @property
     def ndim(self) -> int:
@@ -74,14 +73,7 @@ class PublishedArray:
             raise IndexError("the first two indices must be integers, slices or lists of integers")
         t, m = np.arange(self.shape[0])[times], np.arange(self.shape[1])[members]
         rows, columns = np.atleast_1d(t), np.atleast_1d(m) + self._members.start
-        block = np.empty((len(rows), len(columns), *self.shape[2:]), self.dtype)
-        if block.size:
-            block = np.asarray(self._array.oindex[_as_slice(rows), _as_slice(columns)])
-        published = self._published(rows, columns)
-        if not published.all():
-            where = published.reshape(*block.shape[:2], *[1] * (self.ndim - 2))
-            missing = {"f": np.nan, "i": -1}.get(self.dtype.kind, 0)
-            block = np.where(where, block, np.asarray(missing, self.dtype))
+        block = self._array.read(rows, columns, where=self._published(rows, columns))
         return block[_in_block(times, t), _in_block(members, m), *index[2:]]
 
     def _published(self, rows: np.ndarray, columns: np.ndarray) -> np.ndarray:
@@ -104,13 +96,6 @@ def _in_block(given: Any, numbers: np.ndarray) -> Any:
     return slice(None) if isinstance(given, slice) else np.arange(len(numbers))
 
 
-def _as_slice(numbers: np.ndarray) -> Any:
-    """Consecutive numbers as a slice, which Zarr reads chunk by chunk."""
-    if len(numbers) == numbers[-1] - numbers[0] + 1 and (np.diff(numbers) == 1).all():
-        return slice(int(numbers[0]), int(numbers[-1]) + 1)
-    return numbers
-
-
 def load(root: Root, thorough: bool, part: tuple[int, PartState] | None = None) -> Saves:
     """The published results of all parts or of one.
 
@@ -125,8 +110,6 @@ def load(root: Root, thorough: bool, part: tuple[int, PartState] | None = None) 
     Raises:
         UnreadableError: a run with `reduce` whose parts are not all complete.
     """
-    import zarr
-
     thorough = thorough and root.in_parts
     statuses = dict(enumerate(root.statuses(thorough)) if part is None else [part])
     ranges, shown = [root.split.part(k) for k in statuses], [status.progress for status in statuses.values()]
@@ -141,46 +124,48 @@ def load(root: Root, thorough: bool, part: tuple[int, PartState] | None = None) 
     attributes = root.attributes | {"progress": progress, "machines": machines}
     if root.in_parts:
         attributes["missing"] = [line for k, x in statuses.items() if (line := root.sentence(k, x))]
-    group: Any = zarr.open_group(open_zarr(root.storage), mode="r", use_consolidated=root.in_parts)
+    arrays = {name: StoredArray(root.storage, name, meta) for name, meta in root.metas.items()}
     if attributes["reduce"] is not None:
         if attributes.get("missing"):
             raise UnreadableError(
                 f"{root.storage.address} is an incomplete run with `reduce`: {first_of(attributes['missing'])}. Run "
                 "these parts, or read it by xarray.open_zarr"
             )
-        which = slice(min(statuses), max(statuses) + 1)
-        return Saves(_series(root, group, which, ranges, progress["entries"]), None, attributes)
+        which = range(min(statuses), max(statuses) + 1)
+        return Saves(_series(root, arrays, which, ranges, progress["entries"]), None, attributes)
     parts = [(own.start, x["entries"]) for own, x in zip(ranges, shown, strict=True)]
-    arrays = {
-        name: PublishedArray(group[name], progress["entries"], members, parts)
-        for name, meta in root.metas.items()
-        if dims_of(meta)[:2] == ["time", "member"]
+    found = {
+        name: PublishedArray(array, progress["entries"], members, parts)
+        for name, array in arrays.items()
+        if array.meta.dims[:2] == ("time", "member")
     }
-    times = group["time"][: progress["entries"]]
-    state = states_in(arrays, times, attributes | {"members": len(members)})
-    info: Any = StepInfo(arrays["residual"], arrays["converged"])  # pyright: ignore[reportArgumentType]
-    failed = np.asarray(group["first_failure"][members.start : members.stop]) if progress["complete"] else None
+    times: Any = arrays["time"].read(np.arange(progress["entries"]))
+    state = states_in(found, times, attributes | {"members": len(members)})
+    info: Any = StepInfo(found["residual"], found["converged"])  # pyright: ignore[reportArgumentType]
+    failed = arrays["first_failure"].read(np.array(members)) if progress["complete"] else None
     return Saves(Trajectory(times, state, info), failed, attributes)
 
 
 _MERGE = {"least": np.min, "greatest": np.max, "residual": np.max, "unconverged": np.sum}  # the series of several parts
 
 
-def _series(root: Root, group: Any, parts: slice, ranges: list[range], entries: int) -> dict[str, np.ndarray]:
+def _series(
+    root: Root, arrays: dict[str, StoredArray], parts: range, ranges: list[range], entries: int
+) -> dict[str, np.ndarray]:
     """The arrays of a run with `reduce`, with the series of its parts merged to those of all members."""
-    first, end = ranges[0].start, ranges[-1].stop
+    members = range(ranges[0].start, ranges[-1].stop)
     found: dict[str, np.ndarray] = {}
-    for name, meta in root.metas.items():
-        dims = dims_of(meta)
-        if is_along_time(meta):
-            found[name] = np.asarray(group[name][:entries])
-        elif dims[:1] == ["member"] and name not in root.constants:
-            found[name] = np.asarray(group[name][first:end])
-        elif dims == ["part", "time"]:
-            of = np.asarray(group[name][parts])
+    for name, array in arrays.items():
+        dims = array.meta.dims
+        if dims[:1] == ("time",):
+            found[name] = array.read(np.arange(entries))
+        elif dims[:1] == ("member",) and name not in root.constants:
+            found[name] = array.read(np.array(members))
+        elif dims == ("part", "time"):
+            of = array.read(np.array(parts))
             found[name] = _MERGE[name](of, axis=0) if name in _MERGE else of[0]
-    if "sums" in root.metas:
-        pairs = zip(ranges, np.asarray(group["sums"][parts]), strict=True)
+    if "sums" in arrays:
+        pairs = zip(ranges, arrays["sums"].read(np.array(parts)), strict=True)
         sums = total([(own, x[:, : len(blocks(own.start, own.stop))]) for own, x in pairs])
-        found["mean"] = sums / ((end - first) * (root.attributes["save_every"] or 1))
+        found["mean"] = sums / (len(members) * (root.attributes["save_every"] or 1))
     return found

@@ -12,17 +12,16 @@ import jax.numpy as jnp
 import numpy as np
 
 from lieint_jax.runs._job.loop import Change
-from lieint_jax.runs._storage.chunks import first_of
-from lieint_jax.runs._storage.files import open_storage, open_zarr
+from lieint_jax.runs._storage.arrays import StoredArray, first_of
+from lieint_jax.runs._storage.files import open_storage
 from lieint_jax.runs._storage.leaves import Saves, Table, states_in
 from lieint_jax.runs._storage.storage import Address
 from lieint_jax.runs._storage.untrusted import wrap_errors
 from lieint_jax.runs._summary import SERIES, MemberSummary, Summary
 from lieint_jax.runs.store import _published
 from lieint_jax.runs.store._description import UnknownNameError, make
-from lieint_jax.runs.store._open_store import check_store
 from lieint_jax.runs.store._published import PublishedArray
-from lieint_jax.runs.store._root import PartState, Root, read_root
+from lieint_jax.runs.store._root import PartState, Root, check_store, written_root
 from lieint_jax.types import Step, System, Trajectory, pytree, static
 
 _T = TypeVar("_T")
@@ -83,10 +82,8 @@ def read_part(root: Root, k: int, progress: Table) -> Saves:
 
 def read_written(path: Path) -> Saves:
     """The run in a store that this process has just written."""
-    storage = open_storage(path)
-    root = read_root(storage)
-    assert root is not None
-    return read_part(Root(storage, root), 0, root["attributes"]["progress"])
+    root = written_root(open_storage(path))
+    return read_part(root, 0, root.attributes["progress"])
 
 
 def system_from_store(path: Address, attributes: Table, own: Mapping[str, object] | None = None) -> System:
@@ -125,10 +122,8 @@ def _from_store(
     system: System | None = None,
 ) -> _T:
     """The step, with this system, or the system of the run in a store."""
-    import zarr
-
-    store, names = open_zarr(open_storage(path)), attributes["constants"]
-    constants = {name: np.asarray(zarr.open_array(store, path=name, mode="r")[...]) for name in names}
+    storage = open_storage(path)
+    constants = {name: StoredArray.open(storage, name).read() for name in attributes["constants"]}
     with wrap_errors(path, passed=(UnknownNameError,)):
         found = make(attributes["description"][what], constants, own or {}, system)
         if not isinstance(found, kind):

@@ -20,28 +20,29 @@ import hashlib
 import json
 import math
 from collections.abc import Iterator, Mapping
-from functools import cached_property
-from typing import NamedTuple
+from pathlib import Path
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
 from lieint_jax.runs._job.split import Split
-from lieint_jax.runs._storage.chunks import (
-    chunk_files,
+from lieint_jax.runs._storage.arrays import (
+    ArrayMetadata,
     damage_of_chunks,
     damage_of_constants,
     digest,
-    dims_of,
     in_threads,
-    is_along_time,
+    raise_if_damaged,
 )
-from lieint_jax.runs._storage.kinds import PROGRESS_KEYS, RUN_KEYS, check_table
+from lieint_jax.runs._storage.files import open_storage
 from lieint_jax.runs._storage.leaves import Table
-from lieint_jax.runs._storage.storage import Storage
-from lieint_jax.runs._storage.untrusted import parse_json
+from lieint_jax.runs._storage.storage import ROOT, Address, Storage
+from lieint_jax.runs._storage.untrusted import UnreadableError, parse_json, refuse_special, wrap_errors
+
+if TYPE_CHECKING:
+    from lieint_jax.runs.store._metadata import Metadata
 
 FORMAT = 7  # the number of the format of stores, the only one that is read
-ROOT = "zarr.json"  # the metadata of a Zarr 3 group
 ROWS, ENDS = "checksums of rows", "checksums of the end"  # arrays of a state
 CARRY = "checkpoint/"  # begins the names of its other arrays
 _DIGEST = 32  # bytes at the end of a state
@@ -91,22 +92,25 @@ def decode_state(data: bytes, place: Table) -> PartState:
     Raises:
         UnusablePartError: damaged, or the state of another part or run.
     """
-    content, digest = memoryview(data)[:-_DIGEST], data[-_DIGEST:]
-    if hashlib.sha256(content).digest() != digest:
+    from lieint_jax.runs.store._metadata import StateHeader
+
+    content = memoryview(data)[:-_DIGEST]
+    if hashlib.sha256(content).digest() != data[-_DIGEST:]:
         raise UnusablePartError("its state is altered or cut off")
     end = data.find(b"\n", 0, _MAX_HEADER)
     if end < 0:
         raise UnusablePartError("its state has too long a header")
-    header, arrays, begin = json.loads(data[:end]), {}, end + 1
+    table = json.loads(data[:end])
+    header, arrays, begin = StateHeader.of(table), {}, end + 1
     for key in ("run", "part"):
-        if header[key] != place[key]:
+        if getattr(header, key) != place[key]:
             raise UnusablePartError(f"its state is that of another {key}: the files were copied from elsewhere")
-    for name, (kind, shape) in header["arrays"].items():
+    for name, (kind, shape) in header.arrays.items():
         dtype = np.dtype(kind)
         size = math.prod(shape) * dtype.itemsize
         arrays[name] = np.frombuffer(content[begin : begin + size], dtype).reshape(shape)
         begin += size
-    return PartState(header["progress"], arrays, header["initial states"], tuple(header["machines"]))
+    return PartState(table["progress"], arrays, header.initial, tuple(table["machines"]))
 
 
 class Root:
@@ -114,32 +118,25 @@ class Root:
 
     Attributes:
         storage: its files.
-        attributes: the attributes of the root.
+        attributes: the attributes of the root, as JSON has them.
+        metadata: the checked metadata.
+        metas: the metadata of the arrays of the complete run by name.
+        entries: the number of entries of the complete run.
+        constants: the digests of the arrays that the run does not change.
         in_parts: whether several runs, or one into a bucket, write the store; else it is one run on a disk.
         split: its parts.
     """
 
     def __init__(self, storage: Storage, root: Table) -> None:
+        from lieint_jax.runs.store._metadata import Metadata
+
         self.storage, self._root, self.attributes = storage, root, root["attributes"]
-        self.in_parts = "parts" in self.attributes
-        members, chunk = self.attributes["members"], self.attributes["member_chunk"]
-        self.split = Split(members, self.attributes.get("parts", 1), chunk)
-
-    @cached_property
-    def metas(self) -> Table:
-        """The metadata of the arrays of the complete run by name."""
-        shown = self._root["consolidated_metadata"]["metadata"]
-        return {name: _of_length(meta, self.entries) if is_along_time(meta) else meta for name, meta in shown.items()}
-
-    @property
-    def entries(self) -> int:
-        """The number of entries of the complete run."""
-        return self.attributes["num_entries"]
-
-    @property
-    def constants(self) -> Mapping[str, str]:
-        """The digests of the arrays that the run does not change."""
-        return self.attributes["digests"]["arrays"]
+        self.metadata: Metadata = Metadata.of(root)
+        described = self.metadata.attributes
+        self.in_parts = described.parts is not None
+        self.split = Split(described.members, described.parts or 1, described.member_chunk)
+        self.entries, self.constants = described.num_entries, described.digests.arrays
+        self.metas = {name: meta.of_length(self.entries) for name, meta in self.metadata.arrays.items()}
 
     def place(self, k: int) -> Table:
         """Where the state of part k belongs: its part and its run."""
@@ -178,12 +175,9 @@ class Root:
 
     def _check_state(self, state: PartState) -> None:
         progress = state.progress
-        check_table("its progress", progress, PROGRESS_KEYS)
         if progress["entries"] > self.entries or progress["complete"] != (progress["entries"] == self.entries):
             raise ValueError(f"it has {progress['entries']} of {self.entries} entries, and is not what it says")
         needed = {"residual", "converged", "failed", *self.attributes["leaves"]} - {"t"}  # a time may follow from n
-        for machine in state.machines:
-            check_table("a machine", machine, {key: RUN_KEYS[key] for key in ("device", "engine", "versions")})
         missing = needed - {name.removeprefix(CARRY) for name in state.arrays if name.startswith(CARRY)}
         if missing and not progress["complete"]:
             raise ValueError(f"it has no {min(missing)} of the states from which the run goes on")
@@ -202,8 +196,8 @@ class Root:
         if row is not None:
             only["time"] = range(row, row + 1)
         names = [name for name in sorted(self.metas) if name not in self.constants]
-        chosen = [name for name in names if ("time" in dims_of(self.metas[name])) == (row is not None)]
-        return [f for name in chosen for f in chunk_files(name, self.metas[name], only)]
+        chosen = [name for name in names if ("time" in self.metas[name].dims) == (row is not None)]
+        return [f for name in chosen for f in self.metas[name].files(name, only)]
 
     def published_files(self, k: int, state: PartState) -> Iterator[tuple[str, int]]:
         """The published files of part k and their checksums."""
@@ -247,7 +241,7 @@ class Root:
         """A line for each file of the run's description that is missing or altered."""
         for name, expected in self.metas.items():
             try:
-                same = json.loads(self.storage.read(f"{name}/{ROOT}")) == expected
+                same = parse_json(self.storage.read(f"{name}/{ROOT}")) == expected.to_json()
             except (OSError, ValueError):
                 same = False
             if not same:
@@ -280,24 +274,16 @@ class Root:
         return f"{where} has {status.progress['entries']} of {self.entries} entries"
 
 
-def encode_root(root: Table, metas: Mapping[str, Table]) -> bytes:
+def encode_root(root: Table, metas: Mapping[str, ArrayMetadata]) -> bytes:
     """The file of a root: its attributes, and the metadata of the arrays by name, which are those of the complete run.
 
     Of a run as a whole they are shown with the lengths that are published.
     """
     attributes = root["attributes"]
     entries = None if "parts" in attributes else attributes["progress"]["entries"]
-    shown = {
-        name: meta if entries is None or not is_along_time(meta) else _of_length(meta, entries)
-        for name, meta in metas.items()
-    }
+    shown = {name: (meta if entries is None else meta.of_length(entries)).to_json() for name, meta in metas.items()}
     root = root | {"consolidated_metadata": {"kind": "inline", "must_understand": False, "metadata": shown}}
     return json.dumps(root | {"attributes": attributes | {"checksum": checksum(root)}}, indent=1).encode()
-
-
-def _of_length(meta: Table, entries: int) -> Table:
-    """The metadata of an array along time with another number of entries."""
-    return meta | {"shape": [entries, *meta["shape"][1:]]}
 
 
 def checksum(root: Table) -> str:
@@ -307,8 +293,64 @@ def checksum(root: Table) -> str:
     return hashlib.sha256(text.encode()).hexdigest()[:16]
 
 
+def check_store(path: Address) -> Root:
+    """Check the files of the store at `path`, and return its root.
+
+    Of a run in parts only the description is checked: `_reading.load` checks its parts one by one.
+
+    Raises:
+        UnreadableError: not a store of lieint, or one that is being created; its description does not fit its arrays.
+        ValueError: a damaged store; the message names the files.
+    """
+    root = open_root(path)
+    with wrap_errors(path):
+        lost = list(root.damage_of_root() if root.in_parts else root.damage())
+        if lost and root.in_parts:
+            if not root.storage.sizes("parts"):  # a bucket gets the root first, and results after all other files
+                raise UnreadableError(
+                    f"{path} has no results yet, and not all of its files: it is being created. Open it again when it "
+                    "has; if its run was stopped, start that again"
+                )
+            lost = list(root.damage_of_root())
+    raise_if_damaged(path, lost)
+    return root
+
+
+def open_root(path: Address) -> Root:
+    """The root of the store at `path`, a folder NAME.zarr, a file NAME.zip or a URL, whose description is checked."""
+    storage = open_storage(path)
+    if isinstance(path, Path):
+        refuse_special(path)
+        if path.is_dir() == (path.suffix == ".zip"):
+            raise UnreadableError(f"{path} is not the store of a run: that is a folder NAME.zarr, or a file NAME.zip")
+    with wrap_errors(path):
+        files = storage.check()
+    with wrap_errors(path, passed=(ValueError,)):
+        table = read_root(storage)
+    if table is None:
+        raise UnreadableError(
+            f"there is no store {path}; li.run(…, store=…) and `lieint run NAME --out {path}` write one"
+            if storage.is_remote
+            else f"{path} does not exist, or is not the store of a run"
+        )
+    with wrap_errors(path):
+        root = Root(storage, table)
+        if not root.in_parts:
+            root.metadata.check_chunks(files)
+    if storage.is_remote and not root.in_parts:
+        raise UnreadableError(f"{path} is a copy of a store that was written on a disk: copy it to a disk to read it")
+    return root
+
+
+def written_root(storage: Storage) -> Root:
+    """The root of a store that this process has written."""
+    table = read_root(storage)
+    assert table is not None
+    return Root(storage, table)
+
+
 def read_root(storage: Storage) -> Table | None:
-    """The root metadata of the store in a storage, checked; None if there is no store."""
+    """The root metadata of the store in a storage, whose checksum is right; None if there is no store."""
     path = storage.address
     try:
         data = storage.read(ROOT)

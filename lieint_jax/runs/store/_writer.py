@@ -1,51 +1,24 @@
-"""The writer of a store: it creates the store or joins it, and commits the results of a part, or of the whole run."""
+"""The writer of a store: it completes a new store, and commits the results of a part, or of the whole run."""
 
 from __future__ import annotations
 
-import itertools
-import json
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from concurrent.futures import Future, ThreadPoolExecutor
-from contextlib import AbstractContextManager, contextmanager
-from typing import Any, NamedTuple
+from contextlib import contextmanager
+from typing import NamedTuple
 
 import numpy as np
 
-from lieint_jax.runs._storage.chunks import (
-    REQUESTS,
-    chunk_files,
-    digest_of,
-    dims_of,
+from lieint_jax.runs._storage.arrays import (
+    ArrayMetadata,
+    chunk_file,
     in_threads,
     raise_if_damaged,
     tail,
 )
-from lieint_jax.runs._storage.files import open_zarr
 from lieint_jax.runs._storage.leaves import Table
-from lieint_jax.runs.store._root import CARRY, ENDS, ROOT, ROWS, START, PartState, Root, UnusablePartError, encode_root
-
-_LEVEL = -1  # of zstd: six times as fast as 0, and 5 % larger, for numbers of simulations
-
-
-class Column(NamedTuple):
-    """The description of one array of a store.
-
-    Attributes:
-        shape, dtype, chunks: those of the complete run.
-        dims: the names of its axes.
-        attributes: its units and long name.
-        missing: what stands for a value that is not published; None: NaN, −1, False or "".
-    """
-
-    shape: tuple[int, ...]
-    dtype: np.dtype
-    chunks: tuple[int, ...]
-    dims: tuple[str, ...]
-    attributes: Table
-    missing: int | None = None
-
-
-Constants = Mapping[str, tuple[Column, np.ndarray]]
+from lieint_jax.runs._storage.storage import ROOT
+from lieint_jax.runs.store._root import CARRY, ENDS, ROWS, START, PartState, Root, UnusablePartError
 
 
 class Slab(NamedTuple):
@@ -56,61 +29,12 @@ class Slab(NamedTuple):
     values: np.ndarray
 
 
-def skeleton(columns: Mapping[str, Column], attributes: Table, constants: Constants) -> dict[str, bytes]:
-    """The files of a store before anything is computed: the root and its arrays' metadata, and the constants.
-
-    The same run has the same files in every process, so that all of them may write them.
-    """
-    import zarr
-    import zarr.storage
-
-    kept: dict[str, Any] = {}
-    store = zarr.storage.MemoryStore(kept)
-    group = zarr.create_group(store, attributes=dict(attributes) | {"progress": START})
-    for name, column in {**columns, **{name: column for name, (column, _) in constants.items()}}.items():
-        _add_array(group, name, column)
-    with _every_chunk():
-        for name, (_, values) in constants.items():
-            zarr.open_array(store, path=name, mode="r+")[...] = values
-    files = {name: data.to_bytes() for name, data in kept.items()}
-    metas = {name: json.loads(files[f"{name}/{ROOT}"]) for name in sorted({**columns, **constants})}
-    root = json.loads(files[ROOT])
-    root["attributes"]["digests"] = {
-        "arrays": {name: digest_of(tail(files[f]) for f in chunk_files(name, metas[name])) for name in constants}
-    }
-    return files | {ROOT: encode_root(root, metas)}
-
-
-def _add_array(group: Any, name: str, column: Column) -> None:
-    """Create an array of a store, without values."""
-    import zarr.codecs
-
-    missing = {"f": np.nan, "i": -1, "b": False, "T": ""}.get(column.dtype.kind, 0)
-    group.create_array(
-        name,
-        shape=column.shape,
-        dtype=column.dtype,
-        chunks=column.chunks,
-        dimension_names=column.dims,
-        attributes=dict(column.attributes),
-        fill_value=missing if column.missing is None else column.missing,
-        compressors=[zarr.codecs.ZstdCodec(level=_LEVEL), zarr.codecs.Crc32cCodec()],
-    )
-
-
-def _every_chunk() -> AbstractContextManager[object]:
-    """A context whose newly opened arrays write chunks of fill values too, so that every missing file is a lost one."""
-    import zarr
-
-    return zarr.config.set({"array.write_empty_chunks": True})
-
-
 def join(root: Root, files: Mapping[str, bytes]) -> None:
     """Write the files of a store that its creator, killed after it had claimed the name, has not written.
 
     Args:
         root: the root of the store, which describes this run.
-        files: the `skeleton` of this run.
+        files: the `first_files` of this run.
 
     Raises:
         ValueError: the description of the run is damaged.
@@ -154,9 +78,7 @@ class Writer:
         self.path = root.storage.address
         self._root, self._k = root, k
         self._members = root.split.part(k)
-        self._store = open_zarr(root.storage, writable=True)
-        self._arrays: dict[str, Any] = {}
-        self._pool = ThreadPoolExecutor(REQUESTS) if root.storage.is_remote else None
+        self._checksums: dict[str, int] = {}  # of the files that this process has written since the last commit
         self._background = ThreadPoolExecutor(1, thread_name_prefix="lieint-store")
         self._writing: Future[None] | None = None
         state = self._found(initial, same_bits) or PartState(START, {}, initial)
@@ -243,22 +165,22 @@ class Writer:
         """
         rows = self._state.arrays.get(ROWS)
         if row is not None:
-            own = self._checksums(self._root.files(self._k, row))[None]
+            own = self._checksums_of(self._root.files(self._k, row))[None]
             rows = own if rows is None else np.concatenate([rows[:row], own])
         arrays = {} if rows is None else {ROWS: rows}
         if progress["complete"]:
-            arrays[ENDS] = self._checksums(self._root.files(self._k))
+            arrays[ENDS] = self._checksums_of(self._root.files(self._k))
         state = self._state._replace(progress=progress, arrays=arrays)
         if not self._is_overtaken(progress):
             whole = state._replace(arrays=arrays | {f"{CARRY}{name}": x for name, x in carry.items()})
             self._root.storage.put(self._root.state_file(self._k), whole.encode(self._root.place(self._k)))
             self._root.show(progress)
         self._state = state
-        self._store.checksums.clear()
+        self._checksums.clear()
 
-    def _checksums(self, files: Iterable[str]) -> np.ndarray:
+    def _checksums_of(self, files: Iterable[str]) -> np.ndarray:
         """The checksums of files of this commit."""
-        return np.array([self._store.checksums[file] for file in files], np.uint32)
+        return np.array([self._checksums[file] for file in files], np.uint32)
 
     def _is_overtaken(self, progress: Table) -> bool:
         """Whether another process has come further with this part, which happens only where there are no locks."""
@@ -271,41 +193,30 @@ class Writer:
         return found is not None and found.progress["steps"] > progress["steps"]
 
     def close(self) -> None:
-        """Wait for the background threads."""
+        """Wait for the background thread."""
         self._background.shutdown()
-        if self._pool is not None:
-            self._pool.shutdown()
 
     def _put_all(self, slabs: Iterable[Slab]) -> None:
-        waiting: list[Future[None]] = []
-        for slab in slabs:
-            if self._pool is None:
-                self._put(slab)
-                continue
-            waiting.append(self._pool.submit(self._put, slab))
-            if len(waiting) > REQUESTS:  # slabs that wait are in memory
-                waiting.pop(0).result()
-        for future in waiting:
-            future.result()
-        self._root.storage.settle()
+        storage = self._root.storage
+        chunks = (chunk for slab in slabs for chunk in self._chunks(slab))
 
-    def _put(self, slab: Slab) -> None:
-        """Write a slab of this part's members into an array of all members, or of the series of all parts."""
-        if slab.name not in self._arrays:
-            import zarr
+        def put(chunk: tuple[str, ArrayMetadata, np.ndarray]) -> None:
+            file, meta, values = chunk
+            data = meta.encode(values)
+            storage.stage(file, data)
+            self._checksums[file] = tail(data)
 
-            with _every_chunk():
-                self._arrays[slab.name] = zarr.open_array(self._store, path=slab.name, mode="r+")
-        array, dims = self._arrays[slab.name], dims_of(self._root.metas[slab.name])
-        if dims[0] == "part":
-            array[(self._k, *_slices(slab.at, slab.values.shape))] = slab.values
-            return
-        first = {"member": self._members.start}
-        at = tuple(start + first.get(dim, 0) for start, dim in zip(slab.at, dims, strict=False))
-        array[_slices(at, slab.values.shape)] = slab.values
+        for _ in in_threads(put, chunks, storage):
+            pass
+        storage.settle()
 
-
-def _slices(at: tuple[int, ...], shape: tuple[int, ...]) -> tuple[slice, ...]:
-    """The place of a slab that starts at `at`, over the whole of the axes that this does not name."""
-    rest = itertools.repeat(0, len(shape) - len(at))
-    return tuple(slice(a, a + n) for a, n in zip((*at, *rest), shape, strict=True))
+    def _chunks(self, slab: Slab) -> Iterator[tuple[str, ArrayMetadata, np.ndarray]]:
+        """The chunks of a slab of this part's members in an array of all members, or in the series of all parts."""
+        meta, at, values = self._root.metas[slab.name], slab.at, slab.values
+        if meta.dims[0] == "part":
+            at, values = (self._k, *at), values[None]
+        else:
+            first = {"member": self._members.start}
+            at = tuple(start + first.get(dim, 0) for start, dim in zip(at, meta.dims, strict=False))
+        for key, block in meta.blocks(values, (*at, *(0,) * (values.ndim - len(at)))):
+            yield chunk_file(slab.name, key), meta, block
