@@ -164,7 +164,7 @@ def _series(
         elif dims == ("part", "time"):
             of = array.read(np.array(parts))
             found[name] = _MERGE[name](of, axis=0) if name in _MERGE else of[0]
-    if "sums" in arrays:
+    if root.split.parts > 1 and root.attributes["per"] is None:
         pairs = zip(ranges, arrays["sums"].read(np.array(parts)), strict=True)
         sums = total([(own, x[:, : len(blocks(own.start, own.stop))]) for own, x in pairs])
         found["mean"] = sums / (len(members) * (root.attributes["save_every"] or 1))
