@@ -62,9 +62,12 @@ class Clocks:
 
         self.seconds: dict[str, float] = dict.fromkeys(PARTS, 0.0)
         self.made = self.sync_of_making = math.nan  # when the output began, and the seconds of `sync` until then
-        timed = {"loop": (Engine, "run_intervals"), "waiting": (StoreOutput, "_settle")}
+        timed: dict[str, tuple[Any, str]] = {"loop": (Engine, "run_intervals"), "waiting": (StoreOutput, "_settle")}
         timed |= {"pack": (ArrayMetadata, "encode"), "write": (Disk, "stage"), "sync": (Disk, "settle")}
-        self.patches = [mock.patch.object(*place, self._timed(name, getattr(*place))) for name, place in timed.items()]
+        self.patches = [
+            mock.patch.object(kind, method, self._timed(name, getattr(kind, method)))
+            for name, (kind, method) in timed.items()
+        ]
         self.patches.append(mock.patch.object(StoreOutput, "__init__", self._noting(StoreOutput.__init__)))
 
     def _timed(self, name: str, function: Any) -> Any:

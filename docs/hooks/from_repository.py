@@ -34,6 +34,7 @@ TITLES = {
     "first_ensembles": "First ensembles",
     "compile": "First calls",
     "scale": "Scale",
+    "store": "Stores",
     "round_off": "Rounding, 10⁷ steps",
     "round_off_long": "Rounding, 10⁸ steps",
 }

@@ -239,9 +239,11 @@ def stores(good):
     systems += [{"class": "lieint_jax.systems.RigidBody", "fields": x} for x in ({}, [], {"inertia": 3})]
     systems += [{"class": "lieint_jax.systems.RigidBody"}, {"class": 3}, {"group": "SO(3)", "fields": {}}]
     yield from ((f"system {str(x)[:60]}", put("description", "system", value=x)) for x in systems)
+    forged = (("shape", [10**12] * 2), ("shape", "3"), ("shape", [-1]), ("shape", [True]), ("data_type", "complex128"))
+    forged += (("data_type", "object"), ("fill_value", 3), ("dimension_names", ["x"] * 9))
     for name in ("q", "p", "time", "residual", "converged", constant):
         yield f"no array {name}", put("shown", name, value=...)
-        for key, value in (("shape", [10**12] * 2), ("shape", "3"), ("shape", [-1]), ("data_type", "complex128")):
+        for key, value in forged:
             yield f"{name} of {key} {value}", put("shown", name, key, value=value)
         yield f"{name} is 3", put("shown", name, value=3)
         yield f"{name} has no chunks", put("shown", name, "chunk_grid", value={})

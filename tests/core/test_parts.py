@@ -458,6 +458,18 @@ def test_an_altered_chunk_is_named_on_a_disk_and_an_error_when_it_is_read_from_a
         assert "part 1 (members 21 … 40) is damaged: q/c/1/1/0 is altered" in warning
 
 
+@needs_obstore
+def test_a_published_chunk_that_is_missing_in_a_bucket_is_an_error_and_not_nan(tmp_path):
+    url = f"memory://tests{tmp_path}/run.zarr"
+    run(url, (1, 2))
+    removed(archives.open_storage(url), "q/c/1/1/0")
+    q = opened(url)[0].state.q
+    assert np.isnan(q[:, :20]).all()  # of a part that is not there
+    assert np.isfinite(q[:4]).any(axis=(0, 2)).sum() == 20
+    with pytest.raises(ValueError, match=r"run\.zarr is damaged: q/c/1/1/0 is missing"):
+        q[5, 25]
+
+
 @pytest.mark.long
 def test_a_part_of_another_run_is_refused_before_it_integrates(place, monkeypatch):
     run(place, (0, 2))

@@ -478,7 +478,7 @@ def test_places_and_attributes_that_no_store_can_have_are_refused_before_the_run
         (240 * "x", {}, r"xxx\.zarr cannot be created: File name too long; choose another"),
         (300 * "x", {}, r"xxx\.zarr cannot be created: File name too long; choose another"),
         ("taken", {"run": 1, "members": 2, "seed": 3}, r"may not be called members, run: these names are reserved"),
-        ("taken", {"progress": 1}, "may not be called progress"),
+        ("taken", {"progress": 1, "machines": []}, "may not be called machines, progress"),
         ("object", {"body": BODY}, "must be values for JSON; 'body' is not: Object of type RigidBody"),
         ("scenario", {"scenario": {"x": {1}}}, "'scenario' is not: Object of type set"),
         ("number", {"n": np.int64(1)}, "'n' is not: Object of type int64"),

@@ -97,7 +97,8 @@ class ArrayMetadata(NamedTuple):
             shape, chunks = (*table["shape"],), (*table["chunk_grid"]["configuration"]["chunk_shape"],)
             kind, dims, missing = table["data_type"], (*table.get("dimension_names", ()),), table["fill_value"]
             dtype = np.dtypes.StringDType() if kind == _TEXT else np.dtype(kind)
-            found = cls(shape, dtype, chunks, dims, table["attributes"], missing if type(missing) is int else None)
+            missing = missing if type(missing) is int and dtype.kind == "i" else None
+            found = cls(shape, dtype, chunks, dims, table["attributes"], missing)
             lengths_are_counts = all(type(n) is int and 0 <= n <= _MAX_LENGTH for n in (*shape, *chunks))
             if dtype.kind not in "fiubcT" or not lengths_are_counts or found.to_json() != table:
                 raise ValueError("another table")

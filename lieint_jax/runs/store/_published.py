@@ -9,7 +9,7 @@ import numpy as np
 
 from lieint_jax.runs._job.dyadic_sum import blocks, total
 from lieint_jax.runs._storage.arrays import StoredArray, first_of
-from lieint_jax.runs._storage.leaves import Saves, states_in
+from lieint_jax.runs._storage.leaves import Saves, Table, states_in
 from lieint_jax.runs._storage.untrusted import UnreadableError
 from lieint_jax.runs.store._root import PartState, Root
 from lieint_jax.types import StepInfo, Trajectory
@@ -132,7 +132,7 @@ def load(root: Root, thorough: bool, part: tuple[int, PartState] | None = None) 
                 "these parts, or read it by xarray.open_zarr"
             )
         which = range(min(statuses), max(statuses) + 1)
-        return Saves(_series(root, arrays, which, ranges, progress["entries"]), None, attributes)
+        return Saves(_series(root, arrays, which, ranges, progress), None, attributes)
     parts = [(own.start, x["entries"]) for own, x in zip(ranges, shown, strict=True)]
     found = {
         name: PublishedArray(array, progress["entries"], members, parts)
@@ -150,7 +150,7 @@ _MERGE = {"least": np.min, "greatest": np.max, "residual": np.max, "unconverged"
 
 
 def _series(
-    root: Root, arrays: dict[str, StoredArray], parts: range, ranges: list[range], entries: int
+    root: Root, arrays: dict[str, StoredArray], parts: range, ranges: list[range], progress: Table
 ) -> dict[str, np.ndarray]:
     """The arrays of a run with `reduce`, with the series of its parts merged to those of all members."""
     members = range(ranges[0].start, ranges[-1].stop)
@@ -158,13 +158,13 @@ def _series(
     for name, array in arrays.items():
         dims = array.meta.dims
         if dims[:1] == ("time",):
-            found[name] = array.read(np.arange(entries))
+            found[name] = array.read(np.arange(progress["entries"]))
         elif dims[:1] == ("member",) and name not in root.constants:
-            found[name] = array.read(np.array(members))
+            found[name] = array.read(np.array(members), where=np.full(len(members), progress["complete"]))
         elif dims == ("part", "time"):
             of = array.read(np.array(parts))
             found[name] = _MERGE[name](of, axis=0) if name in _MERGE else of[0]
-    if "sums" in arrays:
+    if root.split.parts > 1 and root.attributes["per"] is None:
         pairs = zip(ranges, arrays["sums"].read(np.array(parts)), strict=True)
         sums = total([(own, x[:, : len(blocks(own.start, own.stop))]) for own, x in pairs])
         found["mean"] = sums / (len(members) * (root.attributes["save_every"] or 1))

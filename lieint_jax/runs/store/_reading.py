@@ -142,7 +142,8 @@ def _as_stored(loaded: Saves) -> Saves:
         return Saves(found, failed, attributes)
     state, failed = states_in(found, found["time"][-1], attributes), found["first_failure"]
     if attributes["per"] is not None:
-        values: dict[str, Any] = {name: found.get(name) for name in (*Change._fields, "residual", "unconverged")}
+        names = (*Change._fields, "residual", "unconverged")
+        values: dict[str, Any] = {name: found.get(name) if name == "first" else found[name] for name in names}
         number = attributes["num_steps"] + 1
         return Saves(
             MemberSummary(found["time"], **values, number=number, state=state, failed=failed), failed, attributes

@@ -40,7 +40,7 @@ from lieint_jax.runs._storage.storage import ROOT, Address, Storage
 from lieint_jax.runs._storage.untrusted import UnreadableError, parse_json, refuse_special, wrap_errors
 
 if TYPE_CHECKING:
-    from lieint_jax.runs.store._metadata import Metadata
+    from lieint_jax.runs._storage.metadata import Metadata
 
 FORMAT = 7  # the number of the format of stores, the only one that is read
 ROWS, ENDS = "checksums of rows", "checksums of the end"  # arrays of a state
@@ -92,7 +92,7 @@ def decode_state(data: bytes, place: Table) -> PartState:
     Raises:
         UnusablePartError: damaged, or the state of another part or run.
     """
-    from lieint_jax.runs.store._metadata import StateHeader
+    from lieint_jax.runs._storage.metadata import StateHeader
 
     content = memoryview(data)[:-_DIGEST]
     if hashlib.sha256(content).digest() != data[-_DIGEST:]:
@@ -128,7 +128,7 @@ class Root:
     """
 
     def __init__(self, storage: Storage, root: Table) -> None:
-        from lieint_jax.runs.store._metadata import Metadata
+        from lieint_jax.runs._storage.metadata import Metadata
 
         self.storage, self._root, self.attributes = storage, root, root["attributes"]
         self.metadata: Metadata = Metadata.of(root)

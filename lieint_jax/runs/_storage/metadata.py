@@ -1,6 +1,6 @@
 """The metadata of a store as one model, by which whatever is read back is checked, for anybody may have written it.
 
-This module imports pydantic: import it where a store is read.
+This module imports pydantic, so import it inside the functions that read a store.
 """
 
 from __future__ import annotations
@@ -27,7 +27,6 @@ from lieint_jax.runs._summary import SERIES
 
 _MAX_LENGTH, _MAX_PARTS = 10**15, 10**6
 _REALS, _COUNTS, _FLAGS = ("float32", "float64"), ("int32", "int64"), ("bool",)
-_OF_MEMBERS = ("least", "greatest", "total", "excess", "last")  # of a reduction of each member
 
 
 def _check_name(name: str) -> str:
@@ -144,42 +143,36 @@ class Metadata(_Model):
     def _has_arrays_that_fit(self) -> Self:
         found = self.attributes
         entries = found.progress.entries if found.parts is None else found.num_entries
-        members = (found.members,)
-        self._expect("time", _REALS, (entries,))
-        self._expect("first_failure", _COUNTS, members)
+        lengths = {"time": entries, "member": found.members, "part": found.parts}
+        for name, array in self.arrays.items():
+            for dim, n in zip(array.dims, array.shape, strict=True):
+                if n != lengths.get(dim, n):
+                    raise ValueError(f"{name} has {n} values along {dim}, not {lengths[dim]}")
+        of_members = ("time", "member") if found.reduce is None else ("member",)
+        series = of_members if found.reduce is None else ("time",) if found.parts is None else ("part", "time")
+        self._expect("time", _REALS, ("time",))
+        self._expect("first_failure", _COUNTS, ("member",))
+        self._expect("residual", _REALS, series)
+        self._expect(*(("unconverged", _COUNTS) if found.reduce is not None else ("converged", _FLAGS)), series)
         for leaf in map(store_name, found.leaves):
             if leaf != "t" or leaf in self.arrays:  # a time that all members share has no array of its own
-                along = members if found.reduce is not None else (entries, *members)
-                self._expect(leaf, _REALS, along, more=1 if leaf in ("q", "p") else 0)
-        if found.reduce is None:
-            self._expect("residual", _REALS, (entries, *members))
-            self._expect("converged", _FLAGS, (entries, *members))
-        else:
-            along = (entries,) if found.parts is None else (found.parts, entries)
-            for name in SERIES[3:] if found.per else SERIES:
-                self._expect(name, _COUNTS if name == "unconverged" else _REALS, along)
-            for name in _OF_MEMBERS if found.per else ():
-                self._expect(name, _REALS, members)
-            if not found.per and (found.parts or 1) > 1:
-                self._expect("sums", _REALS, along, more=1)
+                self._expect(leaf, _REALS, of_members, more=1 if leaf in ("q", "p") else 0)
         if missing := {*found.constants, *found.digests.arrays} - set(self.arrays):
             raise ValueError(f"it has no array {min(missing)}")
         return self
 
-    def _expect(self, name: str, dtypes: tuple[str, ...], shape: tuple[int, ...], more: int | None = None) -> None:
-        """Raise ValueError unless there is an array of one of these dtypes and this shape.
+    def _expect(self, name: str, dtypes: tuple[str, ...], dims: tuple[str, ...], more: int | None = None) -> None:
+        """Raise ValueError unless there is an array of one of these dtypes along these axes.
 
-        With `more` it has so many further axes at least.
+        With `more` it has so many further ones at least.
         """
         if name not in self.arrays:
             raise ValueError(f"it has no array {name}")
-        array = self.arrays[name]
+        array, least = self.arrays[name], len(dims) + (more or 0)
         if array.dtype.name not in dtypes:
             raise ValueError(f"{name} is of {array.dtype.name}, not {' or '.join(dtypes)}")
-        fits = array.shape == shape if more is None else array.shape[: len(shape)] == shape
-        if not fits or len(array.shape) < len(shape) + (more or 0):
-            wanted = shape if more is None else f"({', '.join(map(str, shape))}, …)"
-            raise ValueError(f"{name} has shape {array.shape}, not {wanted}")
+        if array.dims[: len(dims)] != dims or len(array.dims) < least or (more is None and len(array.dims) > least):
+            raise ValueError(f"{name} is along {', '.join(array.dims)}, not {', '.join(dims)}{', …' if more else ''}")
 
     def check_chunks(self, files: int) -> None:
         """Raise ValueError if an array has more chunks than a store with so many files can have."""
