@@ -25,7 +25,8 @@ A system and a scheme make a step; a step and states make a run.
 | `equilibrium`, `normal_modes` | relative equilibria, frequencies of small oscillations, stability |
 | `diagnostics` | what a step conserves, its order, its linearization; chaos |
 | `measure` | what a run shows: periods, librations, orbits, spectra, light curves |
-| `fit`, `observe`, `reversible` | fits, and derivatives of whole runs (`fitting`, `adjoints`) |
+| `ReversibleAdjoint`, `RecursiveCheckpointAdjoint` | gradients of long runs, by `integrate(…, adjoint=…)` |
+| `fit` | fits; bounds, noise and inference in `fitting` |
 | `transition` | state transition matrices, sensitivities to parameters, linear covariance |
 | `shapes` | mass, inertia and moments of ellipsoids, boxes, point masses, meshes |
 | `potentials`, `torques`, `tides`, `orbits` | what acts on bodies |
@@ -48,7 +49,6 @@ from types import ModuleType
 from typing import TYPE_CHECKING
 
 from lieint_jax import (
-    adjoints,
     attitude,
     capabilities,
     dates,
@@ -76,18 +76,20 @@ from lieint_jax.diagnostics import equilibrium, normal_modes
 from lieint_jax.fitting import fit
 from lieint_jax.native import engine, explain, scan
 from lieint_jax.runs import (
+    Ellipse,
     Event,
+    RecursiveCheckpointAdjoint,
+    ReversibleAdjoint,
     Run,
     StoreOptions,
+    Transition,
     count_cores,
     event,
     integrate,
     interpolate,
-    observe,
     over_members,
     part_of_task,
     peak_memory,
-    reversible,
     run,
     submit,
     transition,
@@ -99,15 +101,18 @@ if TYPE_CHECKING:
     from lieint_jax import plots, report
 
 __all__ = [
+    "Ellipse",
     "Event",
+    "RecursiveCheckpointAdjoint",
+    "ReversibleAdjoint",
     "Run",
     "State",
     "Step",
     "StepInfo",
     "StoreOptions",
     "Trajectory",
+    "Transition",
     "__version__",
-    "adjoints",
     "attitude",
     "cache_programs",
     "capabilities",
@@ -129,7 +134,6 @@ __all__ = [
     "maps",
     "measure",
     "normal_modes",
-    "observe",
     "open",
     "orbits",
     "over_members",
@@ -140,7 +144,6 @@ __all__ = [
     "potentials",
     "pytree",
     "report",
-    "reversible",
     "run",
     "scan",
     "schemes",

@@ -5,14 +5,6 @@ disk, and `processes` are those of a run on several machines.
 """
 
 from lieint_jax.runs import store
-from lieint_jax.runs._adjoints.observe import observe
-from lieint_jax.runs._adjoints.reversible import (
-    RecursiveCheckpointAdjoint,
-    ReversibleAdjoint,
-    reversible,
-    round_trip_error,
-)
-from lieint_jax.runs._adjoints.transition import Ellipse, Transition, transition
 from lieint_jax.runs._host.make_run import open_run, run
 from lieint_jax.runs._host.memory import peak_memory
 from lieint_jax.runs._host.run import Run
@@ -24,6 +16,7 @@ from lieint_jax.runs._job.loop import Reduction, compiler_options
 from lieint_jax.runs._job.made_states import MakeStates
 from lieint_jax.runs._job.over_members import over_members
 from lieint_jax.runs._job.part_of_task import part_of_task
+from lieint_jax.runs._march.adjoints import RecursiveCheckpointAdjoint, ReversibleAdjoint
 from lieint_jax.runs._march.clock import (
     UniformClock,
     at_time,
@@ -42,17 +35,16 @@ from lieint_jax.runs._march.driver import (
 )
 from lieint_jax.runs._march.event import Event, event, events
 from lieint_jax.runs._march.integrate import (
-    Adjoint,
     integrate,
     of_any_length,
     rows_for,
     trajectory,
 )
 from lieint_jax.runs._march.interpolate import interpolate
+from lieint_jax.runs._march.transition import Ellipse, Transition, transition
 from lieint_jax.runs._storage.storage import StoreOptions
 
 __all__ = [
-    "Adjoint",
     "Ellipse",
     "Event",
     "Executor",
@@ -77,7 +69,6 @@ __all__ = [
     "integrate",
     "interpolate",
     "intervals",
-    "observe",
     "of_any_length",
     "open_run",
     "over_members",
@@ -86,8 +77,6 @@ __all__ = [
     "prepared",
     "processes",
     "reported",
-    "reversible",
-    "round_trip_error",
     "rows_for",
     "run",
     "saves",
