@@ -37,9 +37,11 @@ from lieint_jax.types import (
     start_time,
     static,
 )
+from lieint_jax.types.record import record
 from lieint_jax.types.shapes import PyTree
 
 
+@record
 class Ellipse(NamedTuple):
     """The set of points within a number of standard deviations, in k coordinates of the phase space.
 
