@@ -76,13 +76,11 @@ from lieint_jax.diagnostics import equilibrium, normal_modes
 from lieint_jax.fitting import fit
 from lieint_jax.native import engine, explain, scan
 from lieint_jax.runs import (
-    Ellipse,
     Event,
     RecursiveCheckpointAdjoint,
     ReversibleAdjoint,
     Run,
     StoreOptions,
-    Transition,
     count_cores,
     event,
     integrate,
@@ -101,7 +99,6 @@ if TYPE_CHECKING:
     from lieint_jax import plots, report
 
 __all__ = [
-    "Ellipse",
     "Event",
     "RecursiveCheckpointAdjoint",
     "ReversibleAdjoint",
@@ -111,7 +108,6 @@ __all__ = [
     "StepInfo",
     "StoreOptions",
     "Trajectory",
-    "Transition",
     "__version__",
     "attitude",
     "cache_programs",
