@@ -96,6 +96,7 @@ def undoable_at(
     They are differentiated by undoing steps, and each output by the shorter step that leads there from a node.
     """
     assert isinstance(clock, UniformClock)  # by `check_undoable`
+    assert clock.t0 is not None  # by `refuse_times`
     inside = is_inside(save_at, clock, num_steps)
     node = jnp.where(inside, clock.node(jnp.where(inside, save_at, clock.time(0)), num_steps), 0)
     order = jnp.argsort(node)

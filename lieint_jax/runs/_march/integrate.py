@@ -107,8 +107,8 @@ def integrate(
         if save_every != 1:
             raise ValueError("give save_every or save_at, not both")
         refuse_times(step, "save_at")
-    is_open = save_at is not None and dt is not None and num_steps is None and times is None
-    if is_open:
+    is_open = False
+    if save_at is not None and dt is not None and num_steps is None and times is None:
         num_steps = steps_to_reach(save_at, state.t, dt, dtype)
         is_open = num_steps is None
         if is_open and undoing is None:
@@ -236,7 +236,7 @@ trajectory = compiled(_trajectory, static_argnums=(3, 4))
 _padded_trajectory = compiled(_trajectory, static_argnums=5)
 
 
-def _time_order(save_at: Array, clock: Clock, num_steps: int) -> Array | None:
+def _time_order(save_at: Array, clock: Clock, num_steps: int) -> Array | np.ndarray | None:
     """The order of output times in the run; None for concrete ones that are in this order."""
     first, last = clock.time(0), clock.time(num_steps)
     if not concrete(save_at, first, last):
