@@ -76,10 +76,10 @@ def ours(steps: int) -> dict[str, Callable[..., Any]]:
         return li.integrate(step, z, DT, steps, save_every=steps)
 
     def undone(step: Any, z: Any) -> Any:
-        return li.reversible(step, z, DT, steps)
+        return li.integrate(step, z, DT, steps, save_every=steps, adjoint=li.ReversibleAdjoint())
 
     def checkpointed(step: Any, z: Any) -> Any:
-        return li.reversible(step, z, DT, steps, derivative="checkpoint")
+        return li.integrate(step, z, DT, steps, save_every=steps, adjoint=li.RecursiveCheckpointAdjoint())
 
     found: dict[str, Callable[..., Any]] = {
         f"ours, {FORWARD}": lambda *a: loss(scan, *a),

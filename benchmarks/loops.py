@@ -88,7 +88,7 @@ def contestants(step: Any, state: Any, steps: int, is_one: bool = False) -> dict
 
         return jnp.mean(end(p) if is_one else jax.vmap(end)(p))
 
-    undoing = li.adjoints.ReversibleAdjoint(1e300)
+    undoing = li.ReversibleAdjoint(1e300)
     return {
         VALUE: jax.jit(loss),
         UNDONE: jax.jit(jax.grad(lambda leaves, p: loss(leaves, p, undoing))),

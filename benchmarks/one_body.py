@@ -1,6 +1,6 @@
 """What do a long run and a gradient cost for one body or few, where vectors of members do not help?
 
-Runs of one body, by `integrate` and by `li.run` of one member. Gradients by undoing steps, `reversible`, of a
+Runs of one body, by `integrate` and by `li.run` of one member. Gradients by undoing steps, `ReversibleAdjoint`, of a
 mean over 1, 100 and 1000 free bodies, as in `gradients.py`, compiled by `jax.jit` and by `li.jit`, over the forward run
 of `integrate` by `jax.jit`. CPU time of one core, the contestants in turn in one process, the least of the rounds.
 
@@ -63,7 +63,8 @@ def gradients(steps: int, rounds: int, sizes: tuple[int, ...]) -> list[dict[str,
         return loss(lambda step, z: li.integrate(step, z, 0.01, steps, save_every=steps), *args)
 
     def backward(*args: Any) -> Any:
-        return loss(lambda step, z: li.reversible(step, z, 0.01, steps), *args)
+        adjoint = li.ReversibleAdjoint()
+        return loss(lambda step, z: li.integrate(step, z, 0.01, steps, save_every=steps, adjoint=adjoint), *args)
 
     rows = []
     for bodies in sizes:

@@ -25,7 +25,8 @@ A system and a scheme make a step; a step and states make a run.
 | `equilibrium`, `normal_modes` | relative equilibria, frequencies of small oscillations, stability |
 | `diagnostics` | what a step conserves, its order, its linearization; chaos |
 | `measure` | what a run shows: periods, librations, orbits, spectra, light curves |
-| `fit`, `observe`, `reversible` | fits, and derivatives of whole runs (`fitting`, `adjoints`) |
+| `ReversibleAdjoint`, `RecursiveCheckpointAdjoint` | gradients of long runs, by `integrate(…, adjoint=…)` |
+| `fit` | fits; bounds, noise and inference in `fitting` |
 | `transition` | state transition matrices, sensitivities to parameters, linear covariance |
 | `shapes` | mass, inertia and moments of ellipsoids, boxes, point masses, meshes |
 | `potentials`, `torques`, `tides`, `orbits` | what acts on bodies |
@@ -48,7 +49,6 @@ from types import ModuleType
 from typing import TYPE_CHECKING
 
 from lieint_jax import (
-    adjoints,
     attitude,
     capabilities,
     dates,
@@ -77,17 +77,17 @@ from lieint_jax.fitting import fit
 from lieint_jax.native import engine, explain, scan
 from lieint_jax.runs import (
     Event,
+    RecursiveCheckpointAdjoint,
+    ReversibleAdjoint,
     Run,
     StoreOptions,
     count_cores,
     event,
     integrate,
     interpolate,
-    observe,
     over_members,
     part_of_task,
     peak_memory,
-    reversible,
     run,
     submit,
     transition,
@@ -100,6 +100,8 @@ if TYPE_CHECKING:
 
 __all__ = [
     "Event",
+    "RecursiveCheckpointAdjoint",
+    "ReversibleAdjoint",
     "Run",
     "State",
     "Step",
@@ -107,7 +109,6 @@ __all__ = [
     "StoreOptions",
     "Trajectory",
     "__version__",
-    "adjoints",
     "attitude",
     "cache_programs",
     "capabilities",
@@ -129,7 +130,6 @@ __all__ = [
     "maps",
     "measure",
     "normal_modes",
-    "observe",
     "open",
     "orbits",
     "over_members",
@@ -140,7 +140,6 @@ __all__ = [
     "potentials",
     "pytree",
     "report",
-    "reversible",
     "run",
     "scan",
     "schemes",

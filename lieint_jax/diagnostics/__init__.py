@@ -6,6 +6,7 @@
 | `energy_error`, `momentum_error`, `constraint_error` | along a trajectory |
 | `linearization`, `symplectic_defect`, `poisson_error` | Lₙ of a step by `jacfwd`, and whether it is symplectic |
 | `order`, `local_error`, `reversibility` | accuracy of runs, and of one step; time symmetry |
+| `round_trip_error` | how far a run of steps of dt and as many of −dt ends from its start |
 | `flow` | the motion by collocation of order 16, as a reference |
 | `RungeKutta`, `step_cost` | a step that conserves nothing, to compare with; the seconds that a step takes |
 | `lyapunov`, `megno`, `section`, `delay` | chaos: exponents, MEGNO, Poincaré sections, delay plots |
@@ -25,7 +26,7 @@ from lieint_jax.diagnostics._local_error import local_error
 from lieint_jax.diagnostics._modified_energy import modified_energy
 from lieint_jax.diagnostics._neighbors import exponent_of_neighbors, exponents_of_flow
 from lieint_jax.diagnostics._normal_modes import NormalModes, normal_modes
-from lieint_jax.diagnostics._order import flow, order, reversibility
+from lieint_jax.diagnostics._order import flow, order, reversibility, round_trip_error
 from lieint_jax.diagnostics._poisson import poisson_error
 from lieint_jax.diagnostics._runge_kutta import RungeKutta, step_cost
 from lieint_jax.diagnostics._series import constraint_error, delay, energy_error, momentum_error
@@ -63,6 +64,7 @@ __all__ = [
     "poisson_error",
     "random_geodesic",
     "reversibility",
+    "round_trip_error",
     "section",
     "step_cost",
     "symplectic_defect",

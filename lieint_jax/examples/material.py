@@ -40,13 +40,13 @@ def main(observations: int = 40, out: Path | None = None, seed: int = 6, picture
     clean = exact_strains(observations)
     data = clean + NOISE * jnp.asarray(np.random.default_rng(seed).normal(size=clean.shape))
 
-    def residuals(params, integrate=li.integrate):
-        model, converged = strains(params, observations, integrate)
+    def residuals(params, adjoint=None):
+        model, converged = strains(params, observations, adjoint)
         return (model - data) / NOISE, converged
 
     guess = jax.tree.map(jnp.array, GUESS)
     found = li.fit(residuals, guess, bounds=li.fitting.positive, iterations=30, standardized=True)
-    reverse = jax.jit(jax.grad(lambda params: jnp.sum(residuals(params, li.reversible)[0] ** 2) / 2))
+    reverse = jax.jit(jax.grad(lambda params: jnp.sum(residuals(params, li.ReversibleAdjoint())[0] ** 2) / 2))
     first, last = (float(jnp.linalg.norm(ravel_pytree(reverse(params))[0])) for params in (guess, found.params))
     print(f"{TITLE} from {observations} observations of its strain, noise {NOISE} a component")
     print(f"  {found.outcome}")
@@ -55,7 +55,7 @@ def main(observations: int = 40, out: Path | None = None, seed: int = 6, picture
     for name, key in (("λ", "lam"), ("μ", "mu")):
         print(f"  {name}{TRUTH[key]:>12.4f}{found.params[key]:>12.5f}{found.standard_errors[key]:>11.5f}")
     if pictures:
-        fitted = jax.jit(lambda params: strains(params, observations, li.integrate)[0])(found.params)
+        fitted = jax.jit(lambda params: strains(params, observations)[0])(found.params)
         print("pictures:", *li.plots.save(draw(np.asarray(data), np.asarray(fitted)), out))
 
 
@@ -66,10 +66,11 @@ def start(params):
     return ball, ball.state(jnp.array(STRETCH), angular_velocity=jnp.array(SPIN))
 
 
-def strains(params, observations, integrate):
-    """C at all observations, (observations, 6), by `li.integrate` or `li.reversible`, and whether steps converged."""
+def strains(params, observations, adjoint=None):
+    """C at all observations, (observations, 6), and whether steps converged."""
     ball, state = start(params)
-    path = integrate(li.schemes.additive(ball), state, DT, observations * EVERY, save_every=EVERY)
+    step = li.schemes.additive(ball)
+    path = li.integrate(step, state, DT, observations * EVERY, save_every=EVERY, adjoint=adjoint)
     return jax.vmap(ball.strain)(path.state)[1:, *COMPONENTS], path.info.converged
 
 

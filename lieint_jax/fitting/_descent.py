@@ -199,8 +199,8 @@ def newton_step(
     The excess is the step over what is negligible: the square root of the tolerance, since the loss is quadratic, of
     the coordinate, or the tolerance itself of the `largest` coordinate so far. Along directions of which rounding
     errors hide the second derivative, the step is what it is at least.
-    The second derivatives are exact, or by central differences of the gradient through `li.observe` and `reversible`,
-    which support reverse mode only.
+    The second derivatives are exact, or by central differences of the gradient through `ReversibleAdjoint`, which
+    supports reverse mode only.
     """
     gradient, eps = jax.grad(loss), jnp.finfo(y.dtype).eps
     directions = jnp.eye(y.size, dtype=y.dtype)

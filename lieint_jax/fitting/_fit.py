@@ -122,8 +122,8 @@ def fit(
             array of any shape or a tree of them, whose sum of squares is minimized. Either may be returned as a pair
             (value, converged), where `converged` holds the flags or the `StepInfo` of the solves; a trial that did not
             converge has failed.
-            Residuals are differentiated in forward mode (in reverse mode through `li.observe` and `reversible`),
-            scalars in reverse mode.
+            Residuals are differentiated in forward mode (in reverse mode through `li.ReversibleAdjoint`), scalars in
+            reverse mode.
         params: the first guess, a tree of arrays. With `starts`, each leaf has a leading axis of starts.
         optimizer: "levenberg_marquardt", "gauss_newton", "scipy" (`scipy.optimize.least_squares`, for one start),
             "lbfgs" (optax, zoom line search), "adam", or any `optax.GradientTransformation`.
@@ -145,8 +145,7 @@ def fit(
         target: stop when the loss is at most this.
         standardized: whether residuals are in units of their standard deviation, so that twice the loss should be χ²
             distributed. If it exceeds the quantile of 1 − 1e-6, the fit is not a success. The residuals are computed
-            once more, at the estimate, with half the step size of each `li.integrate`, `li.observe`, `li.reversible`
-            and `li.event` in the loss.
+            once more, at the estimate, with half the step size of each `li.integrate` and `li.event` in the loss.
         starts: whether many starts are fitted together, vmapped and split over the devices.
         data: a second argument of the loss: loss(params, data). With `starts`, every leaf has a leading axis of starts.
         mesh: devices for many starts, as in `li.run`; None uses all.

@@ -223,7 +223,7 @@ def _next_steps(box: Box, undamped: bool, x: Array, r: Array, J: Array, D: Array
 def jacobian(residuals: Callable[[Array], tuple[Array, PyTree]], x: Array) -> tuple[Array, PyTree]:
     """The Jacobian of the first result, and the second result; in forward mode, which is faster for few parameters.
 
-    Through `li.observe` and `reversible`, which support reverse mode only, it is computed in reverse mode.
+    Through `ReversibleAdjoint`, which supports reverse mode only, it is computed in reverse mode.
     """
     try:
         return jax.jacfwd(residuals, has_aux=True)(x)

@@ -5,14 +5,6 @@ disk.
 """
 
 from lieint_jax.runs import store
-from lieint_jax.runs._adjoints.observe import observe
-from lieint_jax.runs._adjoints.reversible import (
-    RecursiveCheckpointAdjoint,
-    ReversibleAdjoint,
-    reversible,
-    round_trip_error,
-)
-from lieint_jax.runs._adjoints.transition import Ellipse, Transition, transition
 from lieint_jax.runs._host.make_run import open_run, run
 from lieint_jax.runs._host.memory import peak_memory
 from lieint_jax.runs._host.run import Run
@@ -22,6 +14,7 @@ from lieint_jax.runs._job.loop import Reduction, compiler_options
 from lieint_jax.runs._job.made_states import MakeStates
 from lieint_jax.runs._job.over_members import over_members
 from lieint_jax.runs._job.part_of_task import part_of_task
+from lieint_jax.runs._march.adjoints import RecursiveCheckpointAdjoint, ReversibleAdjoint
 from lieint_jax.runs._march.clock import (
     UniformClock,
     at_time,
@@ -40,18 +33,17 @@ from lieint_jax.runs._march.driver import (
 )
 from lieint_jax.runs._march.event import Event, event, events
 from lieint_jax.runs._march.integrate import (
-    Adjoint,
     integrate,
     of_any_length,
     rows_for,
     trajectory,
 )
 from lieint_jax.runs._march.interpolate import interpolate
+from lieint_jax.runs._march.transition import Ellipse, Transition, transition
 from lieint_jax.runs._storage.storage import StoreOptions
 from lieint_jax.runs._summary import Summary
 
 __all__ = [
-    "Adjoint",
     "Ellipse",
     "Event",
     "Executor",
@@ -78,7 +70,6 @@ __all__ = [
     "integrate",
     "interpolate",
     "intervals",
-    "observe",
     "of_any_length",
     "open_run",
     "over_members",
@@ -86,8 +77,6 @@ __all__ = [
     "peak_memory",
     "prepared",
     "reported",
-    "reversible",
-    "round_trip_error",
     "rows_for",
     "run",
     "saves",

@@ -66,7 +66,7 @@ class GroupMidpoint(Step):
         system: `systems.euler(group, metric)`, left- or right-invariant.
         tau: `maps.exponential`, `maps.cayley` (where it lands in the group), `maps.arcsine`, or a custom map
             (group, Θ) ↦ τ(Θ) with Ad_τ(Θ) Θ = Θ, which is checked at three random Θ. `compose`, `splitting` and
-            `li.reversible` accept symmetric maps only.
+            `li.ReversibleAdjoint` accept symmetric maps only.
         iterations: the most Newton matrices per step, each used three times. For |Δt Ω| ≤ 0.05 a step needs 1, for
             ≤ 0.2 it needs 2, for ≤ 0.5 it needs 3; the largest number in a batch decides. More than the default of 8
             help where |Δt Ω| > 1, or if the eigenvalues of the metric differ much.

@@ -53,11 +53,13 @@ def last_of_q(state):
     "call",
     [
         lambda s, z, dt: li.integrate(s, z, dt, 6, save_every=3),
-        lambda s, z, dt: li.observe(s, z, dt, [0.3, 0.7]),
-        lambda s, z, dt: jax.grad(lambda h: li.observe(s, z, h, [0.3, 0.7])[0].q[-1, 0])(dt),
-        lambda s, z, dt: li.observe(s, z, dt, [6 * dt, 14.2 * dt], derivative="checkpoint"),
-        lambda s, z, dt: li.reversible(s, z, dt, 6, save_every=3),
-        lambda s, z, dt: li.adjoints.round_trip_error(s, z, dt, 6),
+        lambda s, z, dt: li.integrate(s, z, dt, save_at=[0.7, 0.3], adjoint=li.ReversibleAdjoint()),
+        lambda s, z, dt: jax.grad(
+            lambda h: li.integrate(s, z, h, save_at=[0.3, 0.7], adjoint=li.ReversibleAdjoint()).state.q[-1, 0]
+        )(dt),
+        lambda s, z, dt: li.integrate(s, z, dt, save_at=[14.2 * dt, 6 * dt]),
+        lambda s, z, dt: li.integrate(s, z, dt, 6, save_every=3, adjoint=li.ReversibleAdjoint()),
+        lambda s, z, dt: li.diagnostics.round_trip_error(s, z, dt, 6),
         lambda s, z, dt: li.diagnostics.poisson_error(s, z, dt, 6),
         lambda s, z, dt: li.diagnostics.order(s, z, dt),
         lambda s, z, dt: s.system.solution(z, dt),

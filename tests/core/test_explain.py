@@ -155,7 +155,7 @@ def test_runs_with_output_times_are_machine_code(name):
 @pytest.mark.long
 @pytest.mark.parametrize("name", RUNS)
 def test_gradients_by_undoing_steps_are_machine_code(name):
-    adjoint = li.adjoints.ReversibleAdjoint()
+    adjoint = li.ReversibleAdjoint()
     gradient = jax.grad(lambda J, W: jax.vmap(lambda w: end(RUNS[name], J, w, adjoint=adjoint))(W).sum())
     assert {loop.engine for loop in li.explain(gradient, J, W).loops} == {"native"}
 

@@ -518,12 +518,13 @@ def test_covariance_does_not_depend_on_the_bound():
 
 
 def test_observations_at_irregular_times_are_fitted_as_first_written():
-    """`observe` has its own reverse mode and no forward mode: fit takes it; so does `covariance`."""
+    """`ReversibleAdjoint` has its own reverse mode and no forward mode: fit uses it; so does `covariance`."""
     body = li.systems.rigid_body([1.0, 2.0, 3.0])
     step, t = li.schemes.so3_midpoint(body), jnp.array([0.7, 1.9, 3.3, 6.1])
 
     def observed(w):
-        return li.observe(step, body.state(angular_velocity=w), 0.05, t)[0].q
+        start = body.state(angular_velocity=w)
+        return li.integrate(step, start, 0.05, save_at=t, adjoint=li.ReversibleAdjoint()).state.q[1:]
 
     truth = jnp.array([0.2, 0.1, 1.0])
     data = observed(truth)

@@ -86,7 +86,9 @@ RUNS = {
         STEP, START, times=jnp.interp(jnp.arange(3 * n + 1) / n, jnp.arange(4), TIMES), save_every=n
     ),
     "save_at": lambda n: li.integrate(STEP, START, 0.2 / n, 4 * n, save_at=jnp.array([0.1, 0.7])),
-    "observe": lambda n: li.observe(STEP, START, 0.2 / n, jnp.array([0.1, 0.7])),
+    "save_at, undone": lambda n: li.integrate(
+        STEP, START, 0.2 / n, save_at=jnp.array([0.7, 0.1]), adjoint=li.ReversibleAdjoint()
+    ),
     "event": lambda n: li.event(STEP, START, 0.2 / n, lambda z: z.q[0] - 0.9, max_steps=20 * n),
 }
 

@@ -35,13 +35,14 @@ def test_an_output_is_a_shorter_step_from_the_state_to_the_left(sign):
 
 def test_times_of_another_epoch_are_refused_in_a_sentence():
     """In seconds since 1970, for a state without a time; traced ones are flagged."""
-    sentence = r"{}: 3\.4e\+10 steps lead there.*and 2147483647 are too many.*count from t = 0\.0, .*at their epoch"
-    with pytest.raises(ValueError, match=sentence.format("times")):
-        li.observe(SPLITTING, STATE, 0.05, [1.7e9])
-    with pytest.raises(ValueError, match=sentence.format("save_at")):
-        li.integrate(SPLITTING, STATE, 0.05, 34 * 10**9, save_at=[1.7e9])
-    info = jax.jit(lambda t: li.observe(SPLITTING, STATE, 0.05, t))(jnp.array([0.1, 1.7e9]))[1]
-    assert info.converged.tolist() == [True, False]
+    sentence = (
+        r"save_at: 3\.4e\+10 steps lead there.*and 2147483647 are too many.*count from t = 0\.0, .*at their epoch"
+    )
+    for num_steps in (None, 34 * 10**9):
+        with pytest.raises(ValueError, match=sentence):
+            li.integrate(SPLITTING, STATE, 0.05, num_steps, save_at=[1.7e9])
+    undone = jax.jit(lambda t: li.integrate(SPLITTING, STATE, 0.05, save_at=t, adjoint=li.ReversibleAdjoint()))
+    assert undone(jnp.array([0.1, 1.7e9])).info.converged.tolist() == [True, True, False]
 
 
 @pytest.mark.quick
@@ -117,17 +118,43 @@ def test_derivatives_by_output_times_and_step_boundaries():
     assert float(slope) == pytest.approx(float(forward), rel=1e-9)
 
 
-def test_observe_is_the_same_function():
-    seen = li.integrate(SPLITTING, STATE._replace(t=jnp.asarray(3.0)), 0.1, 10, save_at=3 + OUTPUTS)
-    state, info = li.observe(SPLITTING, STATE._replace(t=jnp.asarray(3.0)), 0.1, 3 + OUTPUTS[::-1])
-    assert info.converged.all()
-    for a, b in zip(jax.tree.leaves(state), jax.tree.leaves(seen.state), strict=True):
-        np.testing.assert_allclose(a[::-1], b[1:], rtol=0, atol=5e-16)
+@pytest.mark.quick
+@pytest.mark.parametrize("sign", [1, -1])
+@pytest.mark.parametrize("adjoint", [None, li.ReversibleAdjoint()], ids=["loop", "undone"])
+def test_times_in_any_order_have_the_states_of_times_in_order(adjoint, sign):
+    """Known or traced; known ones without a number of steps too."""
+    start, order = STATE._replace(t=jnp.asarray(3.0)), np.array([4, 0, 5, 2, 1, 3])
+    wanted = 3 + sign * OUTPUTS
+    expected = li.integrate(SPLITTING, start, sign * 0.1, 10, save_at=wanted)
+    options = dict(dt=sign * 0.1, adjoint=adjoint)
+    run = jax.jit(lambda t: li.integrate(SPLITTING, start, num_steps=10, save_at=t, **options))
+    for seen in li.integrate(SPLITTING, start, save_at=wanted[order], **options), run(wanted[order]):
+        np.testing.assert_array_equal(seen.t, [3, *wanted[order]])
+        np.testing.assert_array_equal(seen.state.t, seen.t)
+        assert seen.info.converged.all()
+        assert seen.info.residual.max() <= expected.info.residual.max()
+        assert distance(jax.tree.map(lambda x: x[0], seen.state), start) == 0
+        for a, b in zip(jax.tree.leaves(seen.state), jax.tree.leaves(expected.state), strict=True):
+            np.testing.assert_allclose(a[1:], b[1:][order], rtol=0, atol=5e-16)
+
+
+@pytest.mark.quick
+def test_a_time_at_the_end_of_a_run_in_float32_is_inside_of_it():
+    """At multiples of dt that are rounded otherwise than the clock's: a traced one was flagged, a known one refused."""
+    step = schemes.exact(systems.rigid_body(np.array([1.0, 2.0, 3.0], np.float32)))
+    start = jax.tree.map(lambda x: x.astype(np.float32), step.system.state(angular_velocity=[0.2, 0.3, 1.0]))
+    dt, end = np.float32(0.7), np.array([6.3], np.float32)
+    assert end > 9 * dt  # by one unit of the last digit
+    for run in (
+        li.integrate(step, start, dt, 9, save_at=end),
+        jax.jit(lambda t: li.integrate(step, start, dt, 9, save_at=t))(end),
+    ):
+        assert run.info.converged.all()
 
 
 def test_traced_times_outside_the_run_are_flagged():
     run = jax.jit(lambda t: li.integrate(SPLITTING, STATE, 0.1, 10, save_at=t))
     seen = run(jnp.array([-0.1, 0.5, 0.3, 1.2, jnp.nan, 0.7]))
-    assert seen.info.converged.tolist() == [True, False, True, False, False, False, True]
+    assert seen.info.converged.tolist() == [True, False, True, True, False, False, True]
     middle = li.integrate(SPLITTING, STATE, 0.1, 5, save_every=5)
     assert distance(jax.tree.map(lambda x: x[2], seen.state), last(middle)) < 1e-15

@@ -25,7 +25,8 @@ body = li.systems.rigid_body([1.0, 2.0, 3.0])
 
 def last(J, rate):
     step = li.schemes.so3_midpoint(li.systems.RigidBody(J))
-    return li.reversible(step, body.state(angular_velocity=rate), 0.05, 40, tolerance=1e-300).state.q[-1, 0]
+    start, undo = body.state(angular_velocity=rate), li.ReversibleAdjoint(tolerance=1e-300)
+    return li.integrate(step, start, 0.05, 40, save_every=40, adjoint=undo).state.q[-1, 0]
 
 rates = np.array([[0.2, 0.3, 1.0], [0.1, 0.2, 0.3], [1.0, 1.0, 2.0]])
 with warnings.catch_warnings(record=True) as drawn:

@@ -34,7 +34,7 @@ NUMBERS = re.compile(
     r"ArrayLike|\bArray\b|ndarray|Attitude|Directions|\bfloat\b|Scalar|Vector|Positions|Rotations|\bTime\b"
 )
 MODULES = (attitude, diagnostics, elliptic, fitting, groups, measure, *calls.ROOMS, schemes, shapes, systems, tides)
-TOP_LEVEL = ("integrate", "event", "interpolate", "run", "transition", "reversible", "observe")
+TOP_LEVEL = ("integrate", "event", "interpolate", "run", "transition")
 CALLED = {"locked": "inertia", "window": "start", "states": "state"}  # in errors, by another name
 OPTIONS = {"order", "tolerance"}  # numbers that choose among methods, or bound an error
 NO_NUMBERS = {  # whose numbers are options, or those of functions and states
@@ -158,8 +158,9 @@ CALLS = {
     "li.event": lambda: dict(step=step(), state=state(), dt=0.1, condition=lambda z: z.p[0], max_steps=3),
     "li.interpolate": lambda: dict(system=body(), trajectory=li.integrate(step(), state(), 0.05, 4), times=T[:1]),
     "li.transition": lambda: dict(step=step(), state=state(), dt=0.1, num_steps=2),
-    "li.reversible": lambda: dict(step=step(), state=state(), dt=0.1, num_steps=2, tolerance=1e-6),
-    "li.observe": lambda: dict(step=step(), state=state(), dt=0.1, times=T[1:2], tolerance=1e-6),
+    "li.integrate, steps undone": lambda: dict(
+        step=step(), state=state(), dt=0.1, save_at=T[1:2], adjoint=li.ReversibleAdjoint()
+    ),
     "attitude.from_euler": dict(sequence="ZYX", angles=V),
     "attitude.to_euler": dict(sequence="ZYX", q=Q),
     "attitude.from_matrix": dict(R=np.eye(3)),

@@ -48,20 +48,20 @@ def near():
 
 
 def undone(dt):
-    options = dict(save_every=2, adjoint=li.adjoints.ReversibleAdjoint())
+    options = dict(save_every=2, adjoint=li.ReversibleAdjoint())
     return li.integrate(STEP, STATE, dt, 4, **options).state.q[-1, 0]
 
 
 RUNS = {
     "integrate": lambda: li.integrate(STEP, STATE, 0.05, 3),
     "works": worked,
-    "observe": lambda: li.observe(STEP, STATE, 0.05, [0.1, 0.12]),
+    "undone": lambda: li.integrate(STEP, STATE, 0.05, save_at=[0.12, 0.1], adjoint=li.ReversibleAdjoint()),
     "event": lambda: li.event(STEP, STATE, 0.05, lambda z: z.q[0] - 0.99, max_steps=20),
     "saved at times": lambda: li.integrate(STEP, STATE, 0.05, 3, save_at=[0.07, 0.11]),
     "found event": lambda: li.event(STEP, STATE, 0.05, lambda z: z.q[0] - 0.99, max_steps=20),
     "fit": lambda: li.fit(lambda p: p - 1.0, jnp.array([0.0, 2.0])),
     "run": lambda: li.run(STEP, jax.tree.map(lambda x: jnp.stack([x] * 3), STATE), 0.05, 4, save_every=2),
-    "transition": lambda: li.adjoints.transition(STEP, STATE, 0.05, 3),
+    "transition": lambda: li.transition(STEP, STATE, 0.05, 3),
     "scan": lambda: li.scan(lambda c, _: (jnp.sin(c), c), 0.5, length=3),
     "interpolate": lambda: li.interpolate(BODY, li.integrate(STEP, STATE, 0.05, 3), [0.06]),
     "adjoint": lambda: jax.grad(undone)(0.05),

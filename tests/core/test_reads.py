@@ -382,6 +382,7 @@ def by_xla(call):
 
 
 D = li.diagnostics
+UNDO = li.ReversibleAdjoint()
 CASES = {
     "run": of(driven, lambda step, state: li.run(step, state, DT, 2).state.p),
     "run of many": of(driven, lambda step, state: li.run(step, two(state), DT, 2).state.p),
@@ -407,10 +408,12 @@ CASES = {
     "gradient of integrate": of(
         driven, lambda step, state: jax.grad(lambda h: li.integrate(step, state, h, 3).state.p[-1, 0])(DT)
     ),
-    "observe": of(driven, lambda step, state: li.observe(step, state, DT, [0.07, 0.1])[0].p),
-    "reversible": of(top, lambda step, state: li.reversible(step, state, DT, 2).state.p),
-    "gradient of reversible": of(
-        top, lambda step, state: jax.grad(lambda h: li.reversible(step, state, h, 4).state.p[-1, 0])(DT)
+    "undone, at times": of(
+        driven, lambda step, state: li.integrate(step, state, DT, save_at=[0.07, 0.1], adjoint=UNDO).state.p
+    ),
+    "undone": of(top, lambda step, state: li.integrate(step, state, DT, 2, save_every=2, adjoint=UNDO).state.p),
+    "gradient by undoing": of(
+        top, lambda step, state: jax.grad(lambda h: li.integrate(step, state, h, 4, 4, adjoint=UNDO).state.p[-1, 0])(DT)
     ),
     "transition": of(driven, lambda step, state: li.transition(step, state, DT, 2)),
     "event": of_condition(lambda step, state, g: li.event(step, state, DT, g, 60).t),
@@ -484,7 +487,7 @@ OTHERS = {
 
 
 def test_every_public_function_that_accepts_functions_is_a_case():
-    rooms = li, li.adjoints, li.diagnostics, li.fitting
+    rooms = li, li.diagnostics, li.fitting
     found = {
         name
         for room in rooms

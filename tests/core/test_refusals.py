@@ -590,7 +590,7 @@ def paced(sigma):
 SCHEMES = [
     *rows(lambda x: integrate(0.1, 10, step=x), NO_STEP, *NO_STEPS),
     *rows(lambda x: li.run(x, MANY, 0.1, 10, save_every=None), NO_STEP, *NO_STEPS),
-    *rows(lambda x: li.reversible(x, STATE, 0.1, 10), NO_STEP, *NO_STEPS),
+    *rows(lambda x: integrate(0.1, 10, step=x, adjoint=REVERSIBLE), NO_STEP, *NO_STEPS),
     *rows(lambda x: li.diagnostics.certify(x, STATE, 0.1, 10), NO_STEP, *NO_STEPS),
     *rows(lambda dt: STEP(STATE, dt), "dt must be a", *NO_DT),
     *rows(lambda dt: STEP.check(STATE, dt), "dt must be a", *NO_DT),
@@ -704,7 +704,7 @@ STEP, STATE = schemes.so3_midpoint(BODY), BODY.state(angular_velocity=SPIN)
 KICKED, STILL = splitting(TOP), TOP.state(angular_velocity=SPIN)
 MANY = jax.tree.map(lambda x: np.stack([x] * 3), STATE)
 GRADED = [0.0, 0.1, 0.3, 0.6]
-REVERSIBLE = li.adjoints.ReversibleAdjoint()
+REVERSIBLE = li.ReversibleAdjoint()
 SAME = (lambda c, x: (c, x), 0.0)  # of a scan
 
 
@@ -754,8 +754,8 @@ def changed(part, factor, member=2):
     return MANY._replace(**{part: getattr(MANY, part) * np.where(np.arange(3) == member, factor, 1.0)[:, None]})
 
 
-def observed_at_traced_times():
-    jax.eval_shape(lambda t: li.observe(STEP, STATE, 0.1, t, derivative="checkpoint"), jnp.ones(2))
+def saved_at_traced_times(**options):
+    jax.eval_shape(lambda t: integrate(0.1, save_at=t, **options), jnp.ones(2))
 
 
 RUNS = [
@@ -767,7 +767,6 @@ RUNS = [
     (lambda: integrate(0.1, 9, state=STATE._replace(q=STATE.q * 1.001)), r"state\.q must be a unit quat.*1\.001"),
     (lambda: integrate(0.1, 9, state=STATE._replace(p=STATE.p[:2])), r"state\.p must have shape \(3,\)"),
     (lambda: integrate(0.1, 9, state=STATE._replace(p=STATE.p * np.nan)), r"state\.p must be finite"),
-    (lambda: integrate(0.1, 10, save_at=[0.2, 0.1]), "save_at must be in the order of the run, from 0.0 to 1.0"),
     (lambda: integrate(0.1, 10, save_at=[-0.1, 0.1]), "save_at must lie in the run, from 0.0 to 1.0"),
     (lambda: integrate(0.1, 10, save_at=[0.1, 1.1]), "save_at must lie in the run"),
     (lambda: integrate(0.1, 10, save_at=[0.1, np.nan]), "save_at must be finite"),
@@ -780,18 +779,24 @@ RUNS = [
     (lambda: integrate(times=[[0.0]]), r"times must have shape \(N\+1,\)"),
     (lambda: integrate(0.1), "give dt and num_steps, or times"),
     (lambda: integrate(times=GRADED, state=STATE._replace(t=jnp.array(3.0))), "at the time of the state, 3.0, got 0.0"),
-    (lambda: integrate(0.05, 12, save_at=[0.1], adjoint=REVERSIBLE), "with adjoint=ReversibleAdjoint.*li.observe"),
+    (
+        lambda: integrate(0.05, 12, save_at=[0.7, 0.1], adjoint=REVERSIBLE),
+        "save_at must lie in the run, from 0.0 to 0.6",
+    ),
     (lambda: integrate(times=GRADED, adjoint=REVERSIBLE), "steps of one size.*RecursiveCheckpointAdjoint"),
     (lambda: integrate(0.05, 12, adjoint="reversible"), "adjoint must be None.*got 'reversible'"),
     (
         lambda: integrate(0.1, 9, step=SKEWED, state=EMBEDDED.state(angular_velocity=SPIN), adjoint=REVERSIBLE),
         "is not symmetric.*RecursiveCheckpointAdjoint",
     ),
-    (lambda: li.reversible(SKEWED, EMBEDDED.state(angular_velocity=SPIN), 0.1, 4), "not symmetric.*checkpoint"),
-    (lambda: li.reversible(STEP, STATE, 0.05, 4, derivative="scan"), "must be one of reversible, checkpoint"),
-    (lambda: li.reversible(STEP, STATE, 0.05, 5, save_every=2), "multiple of save_every"),
-    (lambda: li.observe(STEP, STATE, 0.05, 1.0), "shape"),
-    (observed_at_traced_times, 'derivative="checkpoint" needs concrete times, dt and state'),
+    (lambda: integrate(0.05, 5, save_every=2, adjoint=REVERSIBLE), "multiple of save_every"),
+    (lambda: integrate(0.05, save_at=1.0, adjoint=REVERSIBLE), "shape"),
+    (saved_at_traced_times, r"number of steps is not known: give num_steps.*or adjoint=li\.ReversibleAdjoint\(\)"),
+    (lambda: saved_at_traced_times(adjoint=li.RecursiveCheckpointAdjoint()), "give num_steps"),
+    (
+        lambda: li.diagnostics.round_trip_error(SKEWED, EMBEDDED.state(angular_velocity=SPIN), 0.1, 4),
+        "is not symmetric.*use a symmetric scheme",
+    ),
     *rows(ensemble, "leading member axis", MANY._replace(q=MANY.q[:2])),
     (lambda: ensemble(changed("q", np.nan, 1)), r"states\.q must be finite, and is not finite for 1 member\(s\): 1"),
     (lambda: ensemble(changed("q", 1.01)), r"off the configuration space.*1 member\(s\): 2"),
@@ -1018,7 +1023,7 @@ LONG = [  # the others are steps that are too large, with advice
     (lambda: controlled(times=[0.0, 0.1, 0.2]), r"cannot be given to .*li\.event"),
     (lambda: controlled(dt=0.1, num_steps=2, save_at=[0.1]), r"cannot be given to .*li\.event"),
     (lambda: li.diagnostics.conditions(CONTROLLED, CONTROLLED.start(STILL), 0.1), "give its base step"),
-    (lambda: li.observe(CONTROLLED, CONTROLLED.start(STILL), 0.1, [0.2]), "times cannot be given"),
+    (lambda: li.integrate(CONTROLLED, CONTROLLED.start(STILL), 0.1, save_at=[0.2]), "save_at cannot be given"),
     (lambda: schemes.log_hamiltonian(ATTRACTED, ENERGY)(STILL, 0.1), r"which this state lacks: use step\.start"),
     (lambda: schemes.log_hamiltonian(ATTRACTED)(STILL._replace(t=0.0), 0.1), r"step\.start\(state\)"),
     (
@@ -1089,8 +1094,8 @@ LONG = [  # the others are steps that are too large, with advice
     ),
     (lambda: lyapunov(dt=30.0), "does not converge"),
     (lambda: group_midpoint(LEFT, twisted), r"Ad_τ\(Θ\) Θ = Θ must hold .*maps\.Tau"),
-    (lambda: li.observe(STEP, STATE, -0.05, np.array([0.3, 1.0])), "side of the start"),
-    (lambda: li.observe(STEP, STATE, 0.0, np.array([0.3, 1.0])), "dt must not be 0"),
+    (lambda: li.integrate(STEP, STATE, -0.05, save_at=np.array([1.0, 0.3])), "side of the start"),
+    (lambda: li.integrate(STEP, STATE, 0.0, save_at=np.array([0.3, 1.0])), "dt must not be 0"),
     (
         lambda: APOPHIS.state_from_periods(precession=10.0, rotation=20.0, long_axis=False),
         r"rotation/precession must be above 6\.\d+, that of a small wobble, in the short",

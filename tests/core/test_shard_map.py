@@ -33,7 +33,7 @@ functions = {
     "run": lambda w: run(top, w),
     "run of a body of its own": lambda w: run(li.schemes.so3_midpoint(li.systems.RigidBody(J * (1 + w[0] ** 2))), w),
     "gradient": jax.grad(lambda w: run(top, w).sum()),
-    "gradient by undoing": jax.grad(lambda w: run(midpoint, w, adjoint=li.adjoints.ReversibleAdjoint()).sum()),
+    "gradient by undoing": jax.grad(lambda w: run(midpoint, w, adjoint=li.ReversibleAdjoint()).sum()),
     "tangents": lambda w: jax.jacfwd(lambda w: run(midpoint, w))(w),
     "exponents": lambda w: li.diagnostics.lyapunov(midpoint, body.state(angular_velocity=w), 0.05, 20).exponents,
     "event": event,
@@ -88,7 +88,7 @@ for module, name, step, state, dt in grid.cases():
         continue
     seen.add(module)
     states = jax.tree.map(lambda x: jnp.stack([x, x]), state)
-    for adjoint in (None, li.adjoints.ReversibleAdjoint()) if step.symmetric else (None,):
+    for adjoint in (None, li.ReversibleAdjoint()) if step.symmetric else (None,):
         def loss(z):
             return jnp.sum(li.integrate(step, z, dt, 4, save_every=2, adjoint=adjoint).state.p[-1] ** 2)
 

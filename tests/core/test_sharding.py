@@ -33,7 +33,7 @@ def many(f):
 def slopes(f):
     return jax.grad(lambda w: jax.vmap(f)(w).sum())
 
-by_undoing = {"adjoint": li.adjoints.ReversibleAdjoint()}
+by_undoing = {"adjoint": li.ReversibleAdjoint()}
 cases = {  # function, mesh, axes of the members, collective operations that it needs
     "values": (many(end), line, "m", set()),
     "gradients": (slopes(end), line, "m", set()),

@@ -29,7 +29,6 @@ FLOORS = [  # from the roof down; a module imports only from floors below its ow
     ("_cache",),
     ("fitting",),
     ("diagnostics", "measure"),
-    ("adjoints",),  # the page of the derivatives that `runs` has
     ("runs",),
     ("schemes",),
     ("systems",),
@@ -103,7 +102,7 @@ def test_imports_point_down(path):
             assert LEVEL[other] > LEVEL[room] or other == room, f"{path} imports {name}"
         elif name == "lieint_jax" and room != "examples":
             pytest.fail(f"{path} imports the face of the package")
-        elif LEVEL[room] > LEVEL["runs"] or room == "diagnostics" or path.parent.name == "_adjoints":
+        elif LEVEL[room] > LEVEL["runs"] or room == "diagnostics" or path.parent.name == "_march":
             top = name.split(".")[0]
             own = {"native": COMPILER, "types": CHECKED}.get(room, set())
             assert top in CORE | own or top in sys.stdlib_module_names, f"{path} is core and imports {name}"
@@ -224,7 +223,7 @@ def test_every_name_of_the_contract_exists(name):
 def test_arguments_after_the_fourth_are_passed_by_name(module):
     by_position = (inspect.Parameter.POSITIONAL_ONLY, inspect.Parameter.POSITIONAL_OR_KEYWORD)
     many = {"constant_lag": 5}  # the columns of a table of bodies, and G
-    many |= {"integrate": 5, "event": 7, "reversible": 5, "lyapunov": 5, "kepler": 7}  # calls of the first versions
+    many |= {"integrate": 5, "event": 7, "lyapunov": 5, "kepler": 7}  # calls of the first versions
     many |= {"series": 5, "log_error": 5, "works": 5, "member_series": 5, "balance": 5}  # drawings: label, then unit
     many |= {"loglog_lines": 5, "points": 5, "on_sphere": 6}
     for key in module.__all__:

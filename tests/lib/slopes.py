@@ -19,11 +19,11 @@ def plain(step, state, dt):
 
 
 def by_reversal(step, state, dt):
-    return li.reversible(step, state, dt, N, save_every=EVERY)
+    return li.integrate(step, state, dt, N, save_every=EVERY, adjoint=li.ReversibleAdjoint())
 
 
 def by_checkpoints(step, state, dt):
-    return li.reversible(step, state, dt, N, save_every=EVERY, derivative="checkpoint")
+    return li.integrate(step, state, dt, N, save_every=EVERY, adjoint=li.RecursiveCheckpointAdjoint())
 
 
 def setting(step, state, dt, others):

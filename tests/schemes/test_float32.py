@@ -45,7 +45,7 @@ def test_a_step_and_a_state_made_with_x64_run_in_float32_without_it():
     run = li.integrate(step, state, 0.05, 4)
     assert run.state.q.dtype == run.t.dtype == SINGLE
     assert bool(run.info.converged.all())
-    assert li.observe(step, state, 0.05, [0.07])[0].p.dtype == SINGLE
+    assert li.integrate(step, state, 0.05, save_at=[0.07], adjoint=li.ReversibleAdjoint()).state.p.dtype == SINGLE
 
 
 @pytest.mark.long

@@ -376,7 +376,7 @@ def test_a_map_that_is_not_symmetric_makes_a_step_that_is_not():
     with pytest.raises(ValueError, match="symmetric step of order 2"):
         li.schemes.compose(step, 4)
     with pytest.raises(ValueError, match="not symmetric"):
-        li.reversible(step, state, 0.1, 2)
+        li.integrate(step, state, 0.1, 2, adjoint=li.ReversibleAdjoint())
     assert group_midpoint(rotations, jax.jit(lambda g, x: g.exp(x), static_argnums=0)).symmetric
 
 

@@ -210,7 +210,7 @@ def test_forces_between_distant_bodies_are_solved_and_differentiated():
 
 
 def test_the_reversible_gradient_is_that_of_the_loop():
-    loops = li.integrate, li.reversible
+    loops = li.integrate, functools.partial(li.integrate, adjoint=li.ReversibleAdjoint())
     found = [jax.jit(jax.grad(lambda d, f=f: end(d, "newton", STIFF, 1.0, f).sum()))(AT) for f in loops]
     np.testing.assert_allclose(found[1], found[0], rtol=0, atol=1e-11)
 

@@ -87,14 +87,15 @@ def test_a_composition_and_the_adjoints_preserve_the_clock():
     step = schemes.compose(schemes.splitting(example("satellite")[0]), 4)
     state = example("satellite")[1]
     exact = state.t + 0.1 * np.arange(0, 13, 4)
-    for derivative in ("reversible", "checkpoint"):
-        path = li.reversible(step, state, 0.1, 12, save_every=4, derivative=derivative)
+    for adjoint in (li.ReversibleAdjoint(), li.RecursiveCheckpointAdjoint()):
+        path = li.integrate(step, state, 0.1, 12, save_every=4, adjoint=adjoint)
         np.testing.assert_allclose(path.t, exact, rtol=2 * EPS)
         np.testing.assert_allclose(path.state.t, exact, rtol=2 * EPS)
     direct = li.integrate(step, state, 0.1, 12, save_every=4)
     assert max(error(*(jax.tree.map(lambda x: x[-1], z.state) for z in (path, direct))), 0) < 4e-15
-    seen, _ = li.observe(step, state, 0.1, state.t + np.array([0.25, 1.13]))
-    np.testing.assert_allclose(seen.t, state.t + np.array([0.25, 1.13]), rtol=2 * EPS)
+    times = state.t + np.array([0.25, 1.13])
+    seen = li.integrate(step, state, 0.1, save_at=times, adjoint=li.ReversibleAdjoint())
+    np.testing.assert_array_equal(seen.state.t[1:], times)
 
 
 def test_a_step_that_drops_work_raises_an_error():
@@ -317,7 +318,7 @@ def test_a_time_too_large_for_its_type_warns():
     with pytest.warns(RuntimeWarning, match="count time from a nearer epoch"):
         li.integrate(step, late, 0.05, 2)
     with pytest.warns(RuntimeWarning, match="nearer epoch"):
-        li.reversible(step, late, 0.05, 2)
+        li.integrate(step, late, 0.05, 2, adjoint=li.ReversibleAdjoint())
     with warnings.catch_warnings():
         warnings.simplefilter("error")
         li.integrate(step, state, 0.05, 2)

@@ -111,6 +111,7 @@ class GridClock(NamedTuple):
 
 Clock = UniformClock | GridClock
 MOST_COUNTED = np.iinfo(np.int32).max  # steps of a loop whose number of steps is an argument, or to output times
+MOST_TRACED = 2**31 - 128  # steps to traced output times: the largest number below it that float32 has too
 _HALVINGS = 20  # the most that `more_times` tries
 
 
@@ -187,7 +188,7 @@ _context = jax.make_user_context(None)  # part of the key of every jit cache: ji
 
 @contextlib.contextmanager
 def halved_steps() -> Iterator[HalvedRuns]:
-    """A context in which `integrate`, `observe`, `reversible` and `event` split every step into two."""
+    """A context in which `integrate` and `event` split every step into two."""
     runs = HalvedRuns()
     with _context(runs):
         yield runs
@@ -224,19 +225,53 @@ def more_times(step: Step, state: State, size: ArrayLike) -> str:
     return ""
 
 
-def outputs(save_at: npt.ArrayLike, clock: Clock, num_steps: int, dtype: Any) -> Array:
-    """The output times; ValueError if concrete ones are out of order or outside the run."""
+def outputs(save_at: npt.ArrayLike, clock: Clock, num_steps: int, dtype: Any, *, ordered: bool = True) -> Array:
+    """The output times; ValueError if concrete ones are outside the run, or out of order where they are `ordered`."""
     wanted = _checks.real_array("save_at", save_at).astype(dtype)
     if wanted.ndim != 1:
-        raise ValueError(f"save_at must have shape (m,), got {wanted.shape}")
+        raise ValueError(f"save_at must have shape (m,), got {wanted.shape}; use jax.vmap for batches")
     if concrete(wanted, clock):
         first, last = float(clock.time(0)), float(clock.time(num_steps))
         ahead = (np.asarray(wanted, float) - first) * (1 if last >= first else -1)
-        if np.any(np.diff(ahead) < 0):
+        if ordered and np.any(np.diff(ahead) < 0):
             raise ValueError(f"save_at must be in the order of the run, from {first} to {last}, got {wanted}")
-        if wanted.size and (ahead[0] < 0 or ahead[-1] > abs(last - first) * (1 + 1e-12)):
+        if np.any(ahead < 0) or np.any(ahead > abs(last - first) + _rounding(np.asarray(wanted), first)):
             raise ValueError(f"save_at must lie in the run, from {first} to {last}, got {wanted}")
     return wanted
+
+
+def is_inside(t: Array, clock: Clock, num_steps: ArrayLike) -> Array:
+    """Whether output times, which may be traced, lie in a run, up to rounding; a time that is not finite does not."""
+    first, last = clock.time(0), clock.time(num_steps)
+    ahead, rounding = jnp.where(last < first, first - t, t - first), _rounding(t, first)
+    return jnp.isfinite(t) & (ahead >= -rounding) & (ahead <= jnp.abs(last - first) + rounding)
+
+
+def _rounding(t: Any, first: ArrayLike) -> Any:
+    """By how much a time may be off that was computed in another way than the clock's, such as by a sum."""
+    return 1e-12 * abs(t - first) + 4 * float(jnp.finfo(t.dtype).eps) * abs(t)
+
+
+def steps_to_reach(save_at: npt.ArrayLike, start: ArrayLike | None, dt: ArrayLike, dtype: Any) -> int | None:
+    """The number of steps of size dt from the time `start` that leads to or beyond all output times.
+
+    None if one of the times or dt is traced.
+    """
+    size, start = _checks.step_size(dt), 0.0 if start is None else start
+    wanted = _checks.real_array("save_at", save_at)
+    if not concrete(wanted, size, start):
+        return None
+    h, t0, t = (np.asarray(x).astype(dtype).astype(float) for x in (size, start, wanted))
+    if not h:
+        raise ValueError("dt must not be 0: no number of steps leads to other times")
+    ahead = (t - t0) / h
+    if np.any(ahead < 0):
+        raise ValueError(
+            f"save_at must lie on the side of the start, t = {start}, that dt = {dt} leads to, got {wanted}"
+        )
+    most = float(np.max(ahead, initial=0))
+    refuse_far_times("save_at", most, start)
+    return int(most) + 1
 
 
 def refuse_far_times(name: str, steps: float, start: ArrayLike) -> None:

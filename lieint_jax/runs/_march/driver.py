@@ -17,9 +17,9 @@ from jax import Array, lax
 from jax.typing import ArrayLike
 
 from lieint_jax import native
-from lieint_jax._xla import rematerialized
+from lieint_jax._xla import rematerialized, with_common_mesh
 from lieint_jax.runs._march.clock import Clock, GridClock, at_time, uniform_clock
-from lieint_jax.types import State, Step, StepInfo
+from lieint_jax.types import State, Step, StepInfo, Trajectory
 
 Tree = Any  # a tree of arrays
 _Carry = TypeVar("_Carry")
@@ -108,6 +108,22 @@ def saved_states(
         known = jax.tree.map(lambda x: x[0], found)
     start = at_start(without_time(state)), known
     return native.march(step_once, start, nodes, rows=num_saves, every=save_every, most=most)[1]
+
+
+def join_start(state: State, later: Reached, t: Array | None) -> Trajectory:
+    """The trajectory of an initial state, and of later states and reports.
+
+    `t` are the times of all, which states without a time do not have, and `later` may lack.
+    """
+    states, info = later
+    if state.t is not None and states.t is None and t is not None:
+        states = states._replace(t=t[1:])
+    start = at_start(state)
+    start, later = with_common_mesh((start, (states, info)))
+    states, info = jax.tree.map(lambda first, rest: jnp.concatenate([first[None], rest]), start, later)
+    times = t if states.t is None else states.t
+    assert times is not None  # a state or a clock has the time
+    return Trajectory(times, states, info)
 
 
 def info_since(n: Array, every: ArrayLike, so_far: StepInfo, info: StepInfo) -> StepInfo:

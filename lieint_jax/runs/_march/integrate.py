@@ -1,8 +1,7 @@
-"""Trajectories: the states that a run saves, and how its derivative in reverse mode is computed."""
+"""Trajectories: the states that a run saves, after equally many steps or at given times, with all derivatives."""
 
 from __future__ import annotations
 
-import abc
 import math
 from functools import partial
 from typing import Any, NamedTuple
@@ -15,38 +14,31 @@ from jax import Array, lax
 from jax.typing import ArrayLike
 
 from lieint_jax import _checks, native
-from lieint_jax._xla import compiled, with_common_mesh
+from lieint_jax._checks import concrete
+from lieint_jax._xla import compiled
+from lieint_jax.runs._march.adjoints import Adjoint, ReversibleAdjoint, check_undoable, undoable, undoable_at
 from lieint_jax.runs._march.arguments import check_inertias, explained
 from lieint_jax.runs._march.clock import (
     MOST_COUNTED,
+    MOST_TRACED,
     Clock,
     GridClock,
     clock_of,
     halved,
+    is_inside,
     more_times,
     outputs,
     refuse_far_times,
     refuse_times,
     saves,
     splits,
+    steps_to_reach,
 )
-from lieint_jax.runs._march.driver import Reached, at_start, prepared, saved_states
+from lieint_jax.runs._march.driver import Reached, at_start, join_start, prepared, saved_states
 from lieint_jax.types import State, Step, StepError, StepInfo, Trajectory, checked_step, promoted, start_time
 
 _LEAST_BYTES, _MOST_BYTES = 2**20, 2**26  # of the saved states that the loop of a run is compiled for
 _SHORT = 256  # runs up to this length are computed before their first step is checked
-
-
-class Adjoint(abc.ABC):
-    """A derivative of whole runs in reverse mode, for `integrate(…, adjoint=…)`."""
-
-    @abc.abstractmethod
-    def check(self, step: Step, clock: Clock) -> None:
-        """Raise ValueError if this derivative does not exist for runs of the step at the times of the clock."""
-
-    @abc.abstractmethod
-    def run(self, step: Step, state: State, clock: Clock, num_saves: int, save_every: int) -> Reached:
-        """The states saved every `save_every` steps after the initial one, and the reports of the steps between."""
 
 
 @explained("li.integrate")
@@ -63,76 +55,91 @@ def integrate(
 ) -> Trajectory:
     """The trajectory of `num_steps` steps of size `dt`, or of steps from one of the `times` to the next.
 
-    It can be jitted, vmapped over states, and differentiated in forward and reverse mode. On a CPU it is machine code,
-    and so are its derivatives; the page "Your own loop in machine code" has the exceptions. A call outside of jit on a
-    CPU is compiled once per structure of the step, whatever the numbers in the step, of steps and in `save_every`, for
-    up to 4096 saved states of one body; again for up to 16384, and so on. `times` are compiled for up to 256, 1024, ….
+    It can be jitted, vmapped over states, and differentiated in forward and reverse mode: by the step's numbers, the
+    state, dt, `times` and `save_at`. On a CPU it is machine code, and so are its derivatives; the page "Your own loop
+    in machine code" has the exceptions. A call outside of jit on a CPU is compiled once per structure of the step,
+    whatever the numbers in the step, of steps and in `save_every`, for up to 4096 saved states of one body; again for
+    up to 16384, and so on. `times` are compiled for up to 256, 1024, ….
 
     The state at an output time between two steps comes from a shorter step from the last node before. So it has every
     invariant of the step, and its error is that of the trajectory plus one of higher order, that of a single step. The
-    trajectory does not continue from it.
+    trajectory does not continue from it. By a time that is a node's, the derivative is that from above.
 
     Args:
         step: a scheme's step.
         state: the initial state; one body (use jax.vmap or `li.run` for many).
         dt: step size, either sign.
-        num_steps: a multiple of `save_every`.
-        save_every: steps between saved states.
+        num_steps: a multiple of `save_every`. With `save_at` it may be omitted, and there are as many steps as lead to
+            the last output. Traced times need it, as does a traced dt, unless the adjoint is `ReversibleAdjoint`.
         times: in place of dt and num_steps, the times (N+1,) between which steps lead, increasing or decreasing; the
             first is that of the state. If the times do not depend on the state, a symplectic step remains symplectic.
-        save_at: in place of save_every, output times (m,) in the order of the run, inside it; they may repeat.
-        adjoint: how the derivative in reverse mode is computed. None stores about 2√N of N states, and computes
-            the steps between them again. `li.adjoints.ReversibleAdjoint()` stores the saved states only, and requires a
-            symmetric step and save_every; give a large one.
+        save_at: in place of save_every, output times (m,) inside the run, in any order; they may repeat.
+        adjoint: how the derivative in reverse mode is computed. None, or `li.RecursiveCheckpointAdjoint()`, stores
+            about 2√N of N states, and computes the steps between them again. `li.ReversibleAdjoint()` stores the saved
+            states only, and requires a symmetric step of one size; give a large save_every, or save_at.
 
     Returns:
-        A `Trajectory`: the initial state, then the states after every `save_every` steps or at the times `save_at`. Its
-        times, and those of the states if they have a time, are t₀ + nΔt, where t₀ is the time of the initial state or
-        0; or the given `times` or `save_at`; or those of the states, if the step has its `own_time`.
+        A `Trajectory`: the initial state, then the states after every `save_every` steps or at the times `save_at`, in
+        their order. Its times, and those of the states if they have a time, are t₀ + nΔt, where t₀ is the time of the
+        initial state or 0; or the given `times` or `save_at`; or those of the states, if the step has its `own_time`.
+        Its `info` reports the steps since the saved state before, in time.
 
     Raises:
-        ValueError: a count is not allowed; times are not finite, not in order or outside the run; a concrete state is
-            not one of the system; a concrete dt exceeds the scheme's limit at the first step; the trajectory is larger
-            than this machine's memory; save_at is given with an adjoint, or with 2³¹ − 1 steps or more; or the adjoint
-            cannot differentiate the step. Later failures, and all failures inside jit, show in `info.converged`.
+        ValueError: a count is not allowed, or is missing; times are not finite, not in order or outside the run; a
+            concrete state is not one of the system; a concrete dt exceeds the scheme's limit at the first step; the
+            trajectory is larger than this machine's memory; save_at is given with 2³¹ − 1 steps or more; or the adjoint
+            cannot differentiate the step. Later failures, and all failures inside jit, such as traced output times
+            outside the run, show in `info.converged`.
 
     Warns:
-        RuntimeWarning: a state's time is so large that its floating-point spacing exceeds dt/10⁶.
+        RuntimeWarning: a state's time is so large that its floating-point spacing exceeds dt/10⁶; or, when a gradient
+            is computed, `ReversibleAdjoint` has lost digits.
     """
     step, state, dtype = promoted(checked_step(step), state)
     check_inertias(step, own_step=False)
-    clock, num_steps = clock_of(step, state, dtype, dt, num_steps, times)
+    if adjoint is not None and not isinstance(adjoint, Adjoint):
+        raise ValueError(
+            "adjoint must be None or li.RecursiveCheckpointAdjoint(), for any step, or li.ReversibleAdjoint(), got "
+            f"{adjoint!r}"
+        )
+    undoing = adjoint if isinstance(adjoint, ReversibleAdjoint) else None  # checkpoints are what the loop has anyway
+    if save_at is not None:
+        if save_every != 1:
+            raise ValueError("give save_every or save_at, not both")
+        refuse_times(step, "save_at")
+    is_open = False
+    if save_at is not None and dt is not None and num_steps is None and times is None:
+        num_steps = steps_to_reach(save_at, state.t, dt, dtype)
+        is_open = num_steps is None
+        if is_open and undoing is None:
+            raise ValueError(
+                "where save_at, dt or the time of the state is traced, their number of steps is not known: give "
+                "num_steps, so many that they reach all times, or adjoint=li.ReversibleAdjoint()"
+            )
+    clock, num_steps = clock_of(step, state, dtype, dt, 0 if is_open else num_steps, times)
     if (parts := splits(step)) > 1:
         dt, clock, num_steps = None, halved(clock), parts * num_steps
-    if adjoint is not None:
-        if not isinstance(adjoint, Adjoint):
-            raise ValueError(
-                "adjoint must be None, for the derivative of the loop itself, li.adjoints.ReversibleAdjoint() or "
-                f"li.adjoints.RecursiveCheckpointAdjoint(), got {adjoint!r}"
-            )
-        adjoint.check(step, clock)
-        if save_at is not None:
-            raise ValueError(
-                f"save_at cannot be given with adjoint={adjoint}: give save_every, or use "
-                "li.observe(step, state, dt, times), which has the same derivatives at any times"
-            )
-    first = dt if dt is not None else clock.size(0) if num_steps else _checks.as_array(0.0, dtype)
+    if undoing is not None:
+        check_undoable(step, clock)
+    first = dt if dt is not None else clock.size(0) if num_steps or is_open else _checks.as_array(0.0, dtype)
     _checks.time_resolution(start_time(step, state), first, num_steps)
     if save_at is None:
         save_every = parts * _checks.count("save_every", save_every, 1)
-        return _after_every(save_every, step, state, clock, num_steps, first, adjoint)
-    if save_every != 1:
-        raise ValueError("give save_every or save_at, not both")
-    refuse_times(step, "save_at")
-    wanted = outputs(save_at, clock, num_steps, dtype)
+        return _after_every(save_every, step, state, clock, num_steps, first, undoing)
+    num_steps = MOST_TRACED if is_open else num_steps
+    wanted = outputs(save_at, clock, num_steps, dtype, ordered=False)
     refuse_far_times("save_at", num_steps, clock.time(0))
     _check_first(step, state, clock, first)
     _check_size(state, wanted.size + 1)
-    run = _at_any_times(step, state, clock, wanted, num_steps)
-    if run is not None:
+    if undoing is not None:
+        later = undoable_at(step, state, clock, wanted, np.int32(num_steps), undoing.tolerance)
+        return join_start(state, later, jnp.concatenate([clock.time(0)[None], wanted]))
+    order = _time_order(wanted, clock, num_steps)
+    run = _in_time_order(step, state, clock, wanted if order is None else wanted[order], num_steps)
+    if order is None:
         return run
-    later = at_output_times(step, state, clock, wanted, num_steps)
-    return join_start(state, later, jnp.concatenate([clock.time(0)[None], wanted]))
+    back = jnp.concatenate([jnp.zeros(1, order.dtype), 1 + jnp.argsort(order)])
+    return jax.tree.map(lambda x: x[back], run)
 
 
 def _after_every(
@@ -142,14 +149,15 @@ def _after_every(
     clock: Clock,
     num_steps: int,
     first: ArrayLike,
-    adjoint: Adjoint | None,
+    undoing: ReversibleAdjoint | None,
 ) -> Trajectory:
     """The trajectory saved after every `save_every` steps, the first of them of size `first`."""
     num_saves = saves(num_steps, save_every)
     _check_size(state, num_saves + 1)
-    if adjoint is not None:
+    if undoing is not None:
         _check_first(step, state, clock, first)
-        later = adjoint.run(step, state, clock, num_saves, save_every)
+        counts = np.full(num_saves, save_every, np.int32)
+        later = undoable(step, state, clock.size(0), counts, undoing.tolerance)
         return join_start(state, later, clock.time(save_every * jnp.arange(num_saves + 1)))
     rows, is_short = rows_for(state, num_saves), num_steps <= _SHORT or isinstance(clock, GridClock)
     run = None
@@ -228,32 +236,28 @@ trajectory = compiled(_trajectory, static_argnums=(3, 4))
 _padded_trajectory = compiled(_trajectory, static_argnums=5)
 
 
-def join_start(state: State, later: Reached, t: Array | None) -> Trajectory:
-    """The trajectory of an initial state, and of later states and reports.
+def _time_order(save_at: Array, clock: Clock, num_steps: int) -> Array | np.ndarray | None:
+    """The order of output times in the run; None for concrete ones that are in this order."""
+    first, last = clock.time(0), clock.time(num_steps)
+    if not concrete(save_at, first, last):
+        return jnp.argsort(jnp.where(last < first, -save_at, save_at))
+    ahead = np.asarray(-save_at if last < first else save_at)
+    return None if np.all(np.diff(ahead) >= 0) else np.argsort(ahead, kind="stable")
 
-    `t` are the times of all, which states without a time do not have, and `later` may lack.
+
+def _in_time_order(step: Step, state: State, clock: Clock, save_at: Array, num_steps: int) -> Trajectory:
+    """The trajectory at output times in the order of the run.
+
+    Where all is concrete, it is computed by one program for all numbers of times and steps.
     """
-    states, info = later
-    if state.t is not None and states.t is None and t is not None:
-        states = states._replace(t=t[1:])
-    start = at_start(state)
-    start, later = with_common_mesh((start, (states, info)))
-    states, info = jax.tree.map(lambda first, rest: jnp.concatenate([first[None], rest]), start, later)
-    times = t if states.t is None else states.t
-    assert times is not None  # a state or a clock has the time
-    return Trajectory(times, states, info)
-
-
-def _at_any_times(step: Step, state: State, clock: Clock, save_at: Array, num_steps: int) -> Trajectory | None:
-    """The trajectory at output times, by one program for all numbers of times and steps; None as in `of_any_length`."""
     rows = rows_for(state, save_at.size)
-    if not rows or not _checks.stands_alone(step, state, clock, save_at):
-        return None
-    room = clock.with_room()
-    wanted: tuple[Any, ...] = np.resize(save_at, rows), np.int32(num_steps), np.int32(save_at.size)
-    found = _at_times(step, state, room, *wanted)
-    run = _on_host(found, save_at.size)
-    return None if run is None else jax.device_put(run)
+    if rows and _checks.stands_alone(step, state, clock, save_at):
+        wanted: tuple[Any, ...] = np.resize(save_at, rows), np.int32(num_steps), np.int32(save_at.size)
+        found = _on_host(_at_times(step, state, clock.with_room(), *wanted), save_at.size)
+        if found is not None:
+            return jax.device_put(found)
+    later = _at_output_times(step, state, clock, save_at, num_steps)
+    return join_start(state, later, jnp.concatenate([clock.time(0)[None], save_at]))
 
 
 class _Gap(NamedTuple):
@@ -302,18 +306,17 @@ class _Entry(NamedTuple):
 
 
 @partial(compiled, static_argnums=4)
-def at_output_times(step: Step, state: State, clock: Clock, save_at: Array, num_steps: int) -> Reached:
+def _at_output_times(step: Step, state: State, clock: Clock, save_at: Array, num_steps: int) -> Reached:
     """The states at output times, without these, and the reports of the steps since the output before.
 
     Before each output there are whole steps and a shorter one from the last node. They are one loop over rows of
     equally many entries, of which the last leads to an output, and all others are whole steps or nothing. So the loop
     stores few rows more than there are outputs, whatever the gaps between them.
     """
-    span = clock.time(num_steps) - clock.time(0)
-    inside = jnp.abs(save_at - clock.time(0) - span / 2) <= jnp.abs(span) / 2 * (1 + 1e-12)  # False for NaN
-    own = clock.node(jnp.where(inside, save_at, clock.time(0)), num_steps)
-    nodes = lax.cummax(own)
-    entries, rows, length = _entries(clock, save_at, nodes, num_steps)
+    inside = is_inside(save_at, clock, num_steps)
+    nodes = lax.cummax(jnp.where(inside, clock.node(jnp.where(inside, save_at, clock.time(0)), num_steps), 0))
+    rests = jnp.where(inside, save_at - clock.time(nodes), 0)  # a wild one would harm gradients by the others
+    entries, rows, length = _entries(clock, rests, nodes, num_steps)
     whole, has_time = prepared(step, state, clock), state.t is not None
 
     def step_once(_: Array, at: Reached, x: _Entry) -> tuple[Reached, Reached]:
@@ -332,17 +335,18 @@ def at_output_times(step: Step, state: State, clock: Clock, save_at: Array, num_
     start, count = at_start(state._replace(t=None)), len(entries.t) // length
     found = native.march(step_once, start, entries, rows=count, every=length)[1]
     later, info = jax.tree.map(lambda x: x[rows], found)
-    return later, info._replace(converged=info.converged & inside & (own == nodes))  # else traced times are unordered
+    return later, info._replace(converged=info.converged & inside)
 
 
-def _entries(clock: Clock, save_at: Array, nodes: Array, num_steps: int) -> tuple[_Entry, Array, int]:
+def _entries(clock: Clock, rests: Array, nodes: Array, num_steps: int) -> tuple[_Entry, Array, int]:
     """The entries of all rows, the row of each output, and the number of entries of a row.
 
     Args:
-        clock, save_at, num_steps: see `at_output_times`.
+        clock, num_steps: see `_at_output_times`.
+        rests: the size of the shorter step to each output.
         nodes: the last node before each output.
     """
-    count = save_at.size
+    count = nodes.size
     length = max(1, -(-num_steps // max(count, 1))) + 1
     steps = jnp.diff(nodes, prepend=0)
     rows = jnp.cumsum(steps // length + 1) - 1
@@ -361,6 +365,6 @@ def _entries(clock: Clock, save_at: Array, nodes: Array, num_steps: int) -> tupl
         spread(False, True, False),
         spread(False, False, True),
         spread(clock.time(0), clock.time(n), clock.time(nodes)),
-        spread(clock.size(0), clock.size(n), save_at - clock.time(nodes)),
+        spread(clock.size(0), clock.size(n), rests),
     )
     return entries, rows, length

@@ -1,4 +1,4 @@
-"""Runs whose reverse-mode derivative stores no intermediate states: a symmetric step is undone instead.
+"""How a run is differentiated in reverse mode. Without intermediate states, a symmetric step is undone instead.
 
 Backwards from the end, step(·, −Δt) rebuilds the state from which step(·, Δt) started, and the cotangents of one step
 are pulled back there:
@@ -12,6 +12,7 @@ interval to the next.
 
 from __future__ import annotations
 
+import dataclasses
 import math
 import warnings
 from collections.abc import Callable
@@ -26,12 +27,101 @@ from jax.typing import ArrayLike
 
 from lieint_jax import native
 from lieint_jax._xla import compiled, rereading_jit, with_common_axes
-from lieint_jax.runs._march.clock import Clock, uniform_clock
+from lieint_jax.runs._march.clock import Clock, GridClock, UniformClock, is_inside, uniform_clock
 from lieint_jax.runs._march.driver import Reached, at_start, counted, reported
 from lieint_jax.schemes import Composition
 from lieint_jax.types import State, Step
 from lieint_jax.types.shapes import PyTree
 from lieint_jax.types.tangent import distance
+
+
+@dataclasses.dataclass(frozen=True)
+class ReversibleAdjoint:
+    """Gradients of long runs that store the saved states only: `integrate(…, adjoint=ReversibleAdjoint())`.
+
+    The backward pass rebuilds states by steps of −dt from one saved state to the one before, so save few: give a large
+    save_every, or save_at. The derivative is that of the discrete flow, in 3.5 to 5 times the time of a run, for any
+    number of parameters. It requires a symmetric step and steps of one size.
+
+    Gradients flow to the leaves of the step, the initial state, dt, the times of save_at, and the arrays that the
+    step's functions close over. Hessian-vector products, forward over reverse, store no more: `jax.jvp` of
+    `jax.grad(loss)`. There is no forward mode alone and no reverse over reverse: integrate without an adjoint.
+
+    When the gradient is computed and reversal has lost more digits than the tolerance allows, a RuntimeWarning is
+    issued.
+
+    Attributes:
+        tolerance: the distance of a rebuilt state from the saved one, in q and in p over max|p|, above which the
+            warning is issued; by default √eps. `diagnostics.round_trip_error` measures it in advance.
+
+    Source: Zhuang et al. 2021, ICLR (for a leapfrog); for symmetric methods: this package.
+    """
+
+    tolerance: float | None = None
+
+
+@dataclasses.dataclass(frozen=True)
+class RecursiveCheckpointAdjoint:
+    """Gradients of any run, of any step: the default of `integrate`, by the name that diffrax has for it.
+
+    The backward pass computes the steps between about 2√N stored states of N again.
+
+    Source: blocks of equal length; Griewank & Walther 2000 (revolve) has more levels, for less memory.
+    """
+
+
+Adjoint = ReversibleAdjoint | RecursiveCheckpointAdjoint
+
+
+def check_undoable(step: Step, clock: Clock) -> None:
+    """Raise ValueError if steps cannot be undone: they are not symmetric, or of different sizes."""
+    if not step.symmetric:
+        raise ValueError(
+            f"{step.name} is not symmetric, so its steps cannot be undone by −dt: give "
+            "adjoint=li.RecursiveCheckpointAdjoint(), or use a symmetric scheme"
+        )
+    if isinstance(clock, GridClock):
+        raise ValueError(
+            "ReversibleAdjoint is for steps of one size: give dt and num_steps in place of times, or "
+            "adjoint=li.RecursiveCheckpointAdjoint()"
+        )
+
+
+@partial(compiled, static_argnums=5)
+def undoable_at(
+    step: Step, state: State, clock: Clock, save_at: Array, num_steps: ArrayLike, tolerance: float | None
+) -> Reached:
+    """The states at output times in any order, and the reports of the steps since the output before, in time.
+
+    They are differentiated by undoing steps, and each output by the shorter step that leads there from a node.
+    """
+    assert isinstance(clock, UniformClock)  # by `check_undoable`
+    assert clock.t0 is not None  # by `refuse_times`
+    inside = is_inside(save_at, clock, num_steps)
+    node = jnp.where(inside, clock.node(jnp.where(inside, save_at, clock.time(0)), num_steps), 0)
+    order = jnp.argsort(node)
+    later = undoable(step, state, clock.dt, jnp.diff(node[order], prepend=0), tolerance)
+    nodes, info = jax.tree.map(lambda x: x[jnp.argsort(order)], later)
+    rest = _remaining_step(save_at - clock.t0, clock.dt, node.astype(clock.dt.dtype))
+    end, last = jax.vmap(step)(nodes, jnp.where(inside, rest, 0))
+    info = info.merge(last)
+    return end._replace(t=None), info._replace(converged=info.converged & inside)
+
+
+@jax.custom_jvp
+def _remaining_step(t: Array, h: Array, whole: Array) -> Array:
+    """t − h·whole, set to 0 where it is a rounding error.
+
+    XLA computes it several times, with and without a fused multiply-add, which would give steps of both 0 and 1e-17.
+    """
+    rest = t - h * whole
+    return jnp.where(jnp.abs(rest) <= 4 * jnp.finfo(t.dtype).eps * jnp.abs(t), 0, rest)
+
+
+@_remaining_step.defjvp
+def _(primals: tuple[Array, Array, Array], tangents: tuple[Array, Array, PyTree]) -> tuple[Array, Array]:
+    t, h, whole = primals
+    return _remaining_step(t, h, whole), tangents[0] - whole * tangents[1]
 
 
 @partial(compiled, static_argnums=4)
@@ -170,7 +260,7 @@ def _zero_with_warning(error: Array, tolerance: float) -> Array:
             warnings.warn(
                 f"reversal lost digits: a rebuilt state is {np.max(error):.2g} from the saved one (tolerance "
                 f"{tolerance:.2g}; {bad.sum()} of {bad.size}): the gradient has a relative error of about that size. "
-                'Save more often (save_every), use a shorter run, or derivative="checkpoint"',
+                "Save more often (save_every), use a shorter run, or adjoint=li.RecursiveCheckpointAdjoint()",
                 RuntimeWarning,
                 stacklevel=2,
             )

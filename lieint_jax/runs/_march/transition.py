@@ -24,8 +24,7 @@ from lieint_jax import _checks, native
 from lieint_jax._checks import concrete
 from lieint_jax._xla import compiled
 from lieint_jax.runs._march.clock import at_time, intervals, uniform_clock
-from lieint_jax.runs._march.driver import info_since
-from lieint_jax.runs._march.integrate import join_start
+from lieint_jax.runs._march.driver import info_since, join_start
 from lieint_jax.types import (
     PhaseSpace,
     State,
@@ -38,9 +37,11 @@ from lieint_jax.types import (
     start_time,
     static,
 )
+from lieint_jax.types.record import record
 from lieint_jax.types.shapes import PyTree
 
 
+@record
 class Ellipse(NamedTuple):
     """The set of points within a number of standard deviations, in k coordinates of the phase space.
 

@@ -1,1 +1,0 @@
-"""Derivatives of whole runs: by checkpoints, by undoing steps, transition matrices."""
