@@ -17,7 +17,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from lieint_jax import schemes
-from lieint_jax.diagnostics import certify
+from lieint_jax.diagnostics import Certificate, certify
 from lieint_jax.runs import Run
 from lieint_jax.types import State, Step, energy_less_work
 
@@ -143,6 +143,7 @@ def text(
     remarks: Sequence[str] = (),
     spread: str = "",
     time_unit: str = "",
+    error: int = 0,
 ) -> str:
     """The report of a run: its size, what it conserved, what was measured, remarks, and whether its steps converged.
 
@@ -157,6 +158,8 @@ def text(
         remarks: further lines, after the table.
         spread: the deviations of the members from the nominal state, in words, such as "attitude 0.3°".
         time_unit: the unit of time, such as "d"; by default that of the store.
+        error: of how many members to measure how far they are off, by `run.error`: 1 for the nominal one. A report that
+            is followed by a certificate does not need it.
     """
     unit = time_unit or run.facts.time_unit
     lines = [title, f"  {_size(run, '' if unit == '1' else unit)}, {run.step.name}"]
@@ -164,6 +167,13 @@ def text(
         lines.append(f"  spread about the nominal state, an assumption (1 sigma): {spread}")
     if run.facts.source:
         lines.append(f"  results in {run.facts.source}")
+    if error:
+        who = (
+            "nominal member"
+            if min(error, run.members or 1) == 1
+            else f"worst of {min(error, run.members or 1)} members"
+        )
+        lines += textwrap.wrap(f"{who}: {run.error(error).summary}", 116, initial_indent="  ", subsequent_indent="    ")
     width = max([_WIDTH, *(len(x.name) + 2 for x in (*changed, *rows))])
     lines += [*_change_lines(changed, width), *_table(rows, width)]
     for row in rows:
@@ -175,7 +185,7 @@ def text(
 
 
 def certificate(run: Run) -> str:
-    """What the step of a run conserves along its nominal member, measured over at most 10 000 of its steps.
+    """How wrong the nominal member of a run is, and what its step conserves along it in its first 10 000 steps.
 
     Raises:
         ValueError: the run has given times instead of a step size.
@@ -185,8 +195,10 @@ def certificate(run: Run) -> str:
     one = run if run.members is None else run.member(0)
     state = jax.tree.map(lambda x: x[0], one.state)
     steps = min(run.facts.num_steps, _CERTIFIED)
-    head = f"Certificate of the nominal member, first {steps} of {run.facts.num_steps} steps:"
-    return f"{head}\n{certify(one.step, state, run.dt, steps)}"
+    found = certify(one.step, state, run.dt, steps)
+    if steps < run.facts.num_steps and isinstance(found, Certificate):
+        found = found._replace(error=run.error(1))  # until the end of the run
+    return f"Certificate of the nominal member, first {steps} of {run.facts.num_steps} steps:\n{found}"
 
 
 def new_path(name: str | Path, resume: bool = False) -> Path:

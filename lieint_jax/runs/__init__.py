@@ -13,6 +13,7 @@ from lieint_jax.runs._adjoints.reversible import (
     round_trip_error,
 )
 from lieint_jax.runs._adjoints.transition import Ellipse, Transition, transition
+from lieint_jax.runs._host.error import RunError, estimate
 from lieint_jax.runs._host.make_run import open_run, run
 from lieint_jax.runs._host.memory import peak_memory
 from lieint_jax.runs._host.run import Run
@@ -61,6 +62,7 @@ __all__ = [
     "Reduction",
     "ReversibleAdjoint",
     "Run",
+    "RunError",
     "StoreOptions",
     "Summary",
     "Transition",
@@ -70,6 +72,7 @@ __all__ = [
     "compiler_options",
     "count_cores",
     "counted",
+    "estimate",
     "event",
     "events",
     "first_devices",
