@@ -17,6 +17,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from lieint_jax import schemes
+from lieint_jax.capabilities import AbstractManyBodies
 from lieint_jax.diagnostics import Certificate, certify
 from lieint_jax.runs import Run
 from lieint_jax.types import State, Step, energy_less_work
@@ -105,10 +106,11 @@ class Change(NamedTuple):
 
 
 def changes(run: Run) -> list[Change]:
-    """The energy of a run, less the work that its states count, and the components of its momentum map.
+    """The energy of a run, less the work that its states count, and its momenta.
 
-    Energy is relative to its greatest absolute value, or to the greatest kinetic energy where it is 0 to round-off;
-    momentum is relative to its initial length, each of the same member.
+    Energy is relative to its greatest absolute value, or to the greatest kinetic energy where it is 0 to round-off.
+    Momentum is relative to its initial length. The linear and the angular momentum of several bodies are two rows,
+    relative to the largest momentum p and angular momentum x × p + π of a body. All sizes are of the same member.
     """
     # A composition has the name of its step in parentheses; what stands in brackets, such as a drift, promises nothing.
     scheme = run.step.name.rpartition("(")[2].partition("[")[0]
@@ -126,11 +128,16 @@ def changes(run: Run) -> list[Change]:
         greatest, kinetic = abs(H).max(axis=0), abs(K).max(axis=0)
         size = np.where(greatest <= _ROUNDING * np.finfo(H.dtype).eps * kinetic, kinetic, greatest)
         name = "energy" if run.state.work is None else "energy less work"
-        found.append(Change(f"{name}, relative", H, _or_one(size), promise(name)))
+        found.append(Change(f"{name}, relative", H, np.where(size > 0, size, 1.0), promise(name)))
     Phi = np.asarray(run.map(_momentum))
-    if Phi.shape[-1]:
-        size = _or_one(np.linalg.norm(Phi[0], axis=-1, keepdims=True))
-        found.append(Change("momentum, relative", Phi, size, promise("momentum")))
+    if isinstance(run.system, AbstractManyBodies) and Phi.shape[-1] == 6:
+        of_bodies = (np.linalg.norm(x, axis=-1).max(axis=(0, -1)) for x in map(np.asarray, run.map(_momenta_of_bodies)))
+        for kind, values, size in zip(("linear", "angular"), np.split(Phi, 2, axis=-1), of_bodies, strict=True):
+            size = np.where(size > 0, size, 1.0)[..., None]
+            found.append(Change(f"{kind} momentum, over the largest of a body", values, size, promise("momentum")))
+    elif Phi.shape[-1]:
+        size = np.linalg.norm(Phi[0], axis=-1, keepdims=True)
+        found.append(Change("momentum, relative", Phi, np.where(size > 0, size, 1.0), promise("momentum")))
     return found
 
 
@@ -227,9 +234,10 @@ def _momentum(step: Step, state: State) -> Any:
     return step.system.momentum(state)
 
 
-def _or_one(size: np.ndarray) -> np.ndarray:
-    """Sizes to which changes are relative, 1 in place of 0."""
-    return np.where(size > 0, size, 1.0)
+def _momenta_of_bodies(_: Step, state: State) -> tuple[Any, Any]:
+    """The linear momenta p of bodies and their angular momenta x × p + π about the origin, (bodies, 3) each."""
+    x, p = state.q[:, :3], state.p[:, :3]
+    return p, jnp.cross(x, p) + state.p[:, 3:]
 
 
 def _size(run: Run, unit: str) -> str:
