@@ -231,6 +231,7 @@ def _at_times(system: System, states: State, t: Array) -> State:
     """States moved to times that are near their own, to first order."""
 
     def moved(state: State, t: Array) -> State:
+        assert state.t is not None  # a step with its own time advances it
         rate = time_derivative(system, state)
         return state._replace(q=state.q + (t - state.t) * rate.q, p=state.p + (t - state.t) * rate.p)
 
