@@ -154,7 +154,7 @@ def test_changes_of_members_are_measured_in_the_system_of_each():
 
 def test_a_report_states_how_far_the_nominal_member_or_the_worst_of_several_is_off():
     run = two_members()
-    one, both = (float(np.max(run.error(count).attitude)) for count in (1, 2))
+    one, both = (float(x.max()) for count in (1, 2) if (x := run.error(count).attitude) is not None)
     assert both > 1.1 * one > 0
     for count, who, angle in (
         (1, "nominal member", one),
