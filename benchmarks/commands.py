@@ -6,13 +6,15 @@ and the size of what is written too.
 
     python benchmarks/commands.py [--quick] [--out DIR] [--only NAME …]
 
-The rows go into `lieint_jax/command/costs.csv`, from which `lieint list` and the commands report how long they take,
-except with `--quick`.
+Each row is written as soon as it is measured into `lieint_jax/command/costs.csv`, from which `lieint list` and the
+commands report how long they take, except with `--quick`. The rows of a measurement that is not complete are in
+`commands-so-far.json` in the folder of the results, and the same call measures only the rest; it removes the file.
 `--only "run toutatis" "check pendulum"` measures these and writes no report.
 """
 
 from __future__ import annotations
 
+import json
 import os
 import shutil
 import subprocess
@@ -35,13 +37,27 @@ def main() -> None:
     options = command.parsed(parser)
     os.sched_setaffinity(0, sorted(os.sched_getaffinity(0))[:CORES])
     names = options.only or (["run pendulum", "run gyro"] if options.quick else command_names())
-    data = command.under_load(lambda: {"rows": [measured(name) for name in names]})
+    so_far = options.out / "commands-so-far.json"
+    rows = json.loads(so_far.read_text()) if so_far.exists() and not options.only else []
+
+    def measure_all() -> dict[str, Any]:
+        for name in names:
+            if name in [r["name"] for r in rows]:
+                continue
+            rows.append(measured(name))
+            if not options.quick and not rows[-1]["failed"]:
+                update_costs(rows[-1:])
+            if not options.only:
+                so_far.parent.mkdir(parents=True, exist_ok=True)
+                so_far.write_text(json.dumps(rows))
+        return {"rows": rows}
+
+    data = command.under_load(measure_all)
     if options.only:
         print("\n\n".join(render(data)))
     else:
         report.publish("commands", render(data), data, options.out)
-    if not options.quick:
-        update_costs(data["rows"])
+        so_far.unlink()
 
 
 def command_names() -> list[str]:

@@ -17,7 +17,8 @@ import jax.numpy as jnp
 import numpy as np
 
 from lieint_jax import schemes
-from lieint_jax.diagnostics import certify
+from lieint_jax.capabilities import AbstractManyBodies
+from lieint_jax.diagnostics import Certificate, certify
 from lieint_jax.runs import Run
 from lieint_jax.types import State, Step, energy_less_work
 
@@ -105,10 +106,11 @@ class Change(NamedTuple):
 
 
 def changes(run: Run) -> list[Change]:
-    """The energy of a run, less the work that its states count, and the components of its momentum map.
+    """The energy of a run, less the work that its states count, and its momenta.
 
-    Energy is relative to its greatest absolute value, or to the greatest kinetic energy where it is 0 to round-off;
-    momentum is relative to its initial length, each of the same member.
+    Energy is relative to its greatest absolute value, or to the greatest kinetic energy where it is 0 to round-off.
+    Momentum is relative to its initial length. The linear and the angular momentum of several bodies are two rows,
+    relative to the largest momentum p and angular momentum x × p + π of a body. All sizes are of the same member.
     """
     # A composition has the name of its step in parentheses; what stands in brackets, such as a drift, promises nothing.
     scheme = run.step.name.rpartition("(")[2].partition("[")[0]
@@ -126,11 +128,16 @@ def changes(run: Run) -> list[Change]:
         greatest, kinetic = abs(H).max(axis=0), abs(K).max(axis=0)
         size = np.where(greatest <= _ROUNDING * np.finfo(H.dtype).eps * kinetic, kinetic, greatest)
         name = "energy" if run.state.work is None else "energy less work"
-        found.append(Change(f"{name}, relative", H, _or_one(size), promise(name)))
+        found.append(Change(f"{name}, relative", H, np.where(size > 0, size, 1.0), promise(name)))
     Phi = np.asarray(run.map(_momentum))
-    if Phi.shape[-1]:
-        size = _or_one(np.linalg.norm(Phi[0], axis=-1, keepdims=True))
-        found.append(Change("momentum, relative", Phi, size, promise("momentum")))
+    if isinstance(run.system, AbstractManyBodies) and Phi.shape[-1] == 6:
+        of_bodies = (np.linalg.norm(x, axis=-1).max(axis=(0, -1)) for x in map(np.asarray, run.map(_momenta_of_bodies)))
+        for kind, values, size in zip(("linear", "angular"), np.split(Phi, 2, axis=-1), of_bodies, strict=True):
+            size = np.where(size > 0, size, 1.0)[..., None]
+            found.append(Change(f"{kind} momentum, over the largest of a body", values, size, promise("momentum")))
+    elif Phi.shape[-1]:
+        size = np.linalg.norm(Phi[0], axis=-1, keepdims=True)
+        found.append(Change("momentum, relative", Phi, np.where(size > 0, size, 1.0), promise("momentum")))
     return found
 
 
@@ -143,6 +150,7 @@ def text(
     remarks: Sequence[str] = (),
     spread: str = "",
     time_unit: str = "",
+    error: int = 0,
 ) -> str:
     """The report of a run: its size, what it conserved, what was measured, remarks, and whether its steps converged.
 
@@ -157,6 +165,8 @@ def text(
         remarks: further lines, after the table.
         spread: the deviations of the members from the nominal state, in words, such as "attitude 0.3°".
         time_unit: the unit of time, such as "d"; by default that of the store.
+        error: of how many members to measure how far they are off, by `run.error`: 1 for the nominal one. A report that
+            is followed by a certificate does not need it.
     """
     unit = time_unit or run.facts.time_unit
     lines = [title, f"  {_size(run, '' if unit == '1' else unit)}, {run.step.name}"]
@@ -164,6 +174,13 @@ def text(
         lines.append(f"  spread about the nominal state, an assumption (1 sigma): {spread}")
     if run.facts.source:
         lines.append(f"  results in {run.facts.source}")
+    if error:
+        who = (
+            "nominal member"
+            if min(error, run.members or 1) == 1
+            else f"worst of {min(error, run.members or 1)} members"
+        )
+        lines += textwrap.wrap(f"{who}: {run.error(error).summary}", 116, initial_indent="  ", subsequent_indent="    ")
     width = max([_WIDTH, *(len(x.name) + 2 for x in (*changed, *rows))])
     lines += [*_change_lines(changed, width), *_table(rows, width)]
     for row in rows:
@@ -175,7 +192,7 @@ def text(
 
 
 def certificate(run: Run) -> str:
-    """What the step of a run conserves along its nominal member, measured over at most 10 000 of its steps.
+    """How wrong the nominal member of a run is, and what its step conserves along it in its first 10 000 steps.
 
     Raises:
         ValueError: the run has given times instead of a step size.
@@ -185,8 +202,10 @@ def certificate(run: Run) -> str:
     one = run if run.members is None else run.member(0)
     state = jax.tree.map(lambda x: x[0], one.state)
     steps = min(run.facts.num_steps, _CERTIFIED)
-    head = f"Certificate of the nominal member, first {steps} of {run.facts.num_steps} steps:"
-    return f"{head}\n{certify(one.step, state, run.dt, steps)}"
+    found = certify(one.step, state, run.dt, steps)
+    if steps < run.facts.num_steps and isinstance(found, Certificate):
+        found = found._replace(error=run.error(1))  # until the end of the run
+    return f"Certificate of the nominal member, first {steps} of {run.facts.num_steps} steps:\n{found}"
 
 
 def new_path(name: str | Path, resume: bool = False) -> Path:
@@ -215,9 +234,10 @@ def _momentum(step: Step, state: State) -> Any:
     return step.system.momentum(state)
 
 
-def _or_one(size: np.ndarray) -> np.ndarray:
-    """Sizes to which changes are relative, 1 in place of 0."""
-    return np.where(size > 0, size, 1.0)
+def _momenta_of_bodies(_: Step, state: State) -> tuple[Any, Any]:
+    """The linear momenta p of bodies and their angular momenta x × p + π about the origin, (bodies, 3) each."""
+    x, p = state.q[:, :3], state.p[:, :3]
+    return p, jnp.cross(x, p) + state.p[:, 3:]
 
 
 def _size(run: Run, unit: str) -> str:

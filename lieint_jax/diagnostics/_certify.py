@@ -21,7 +21,8 @@ from lieint_jax.diagnostics._order import fitted_order, reversibility_of_run
 from lieint_jax.diagnostics._symplectic import dimensionless_defect
 from lieint_jax.diagnostics._thermal import ThermalCertificate, certify_thermostat
 from lieint_jax.groups import MatrixGroup, matrix
-from lieint_jax.types import State, Step, System, Trajectory, energy_less_work, start_time
+from lieint_jax.runs import RunError, estimate
+from lieint_jax.types import State, Step, System, Trajectory, energy_less_work, start_time, time_derivative
 from lieint_jax.types.tangent import swinging
 
 if TYPE_CHECKING:
@@ -32,7 +33,7 @@ _SPAN = 8  # the number of steps of size dt over which the order is measured
 
 
 class Certificate(NamedTuple):
-    """Conservation properties of a step, measured from one state; `print` shows them with verdicts.
+    """The error of a run and the conservation properties of its step; `print` shows them with verdicts.
 
     Up to 16 ε√n after n steps an error is called round-off, with ε that of the precision. Up to nε it is at most one
     rounding per step: where each step adds nearly the same small number, as tides do to a momentum, all sums are
@@ -66,6 +67,8 @@ class Certificate(NamedTuple):
         momentum_map: whether the system has a momentum map.
         hamiltonian: whether the system has an energy and a symplectic form, whose fields are nan otherwise.
         scheme_order: the order that the scheme declares.
+        error: how far the run is from the exact motion, by runs with dt/2 and dt/4; None if a step of them did not
+            converge. Where steps vary with the state, the runs are compared at equal times.
     """
 
     scheme: str
@@ -89,6 +92,7 @@ class Certificate(NamedTuple):
     momentum_map: bool = True
     hamiltonian: bool = True
     scheme_order: float = math.nan
+    error: RunError | None = None
 
     def __str__(self) -> str:
         eps = float(jnp.finfo(self.precision).eps)
@@ -112,7 +116,13 @@ class Certificate(NamedTuple):
             lines[1] = f"  {'momentum':<16} {'—':>9}   no momentum map"
         if not self.hamiltonian:  # neither energy, momentum nor a form
             del lines[3], lines[:2]
-        return "\n".join([head, *lines])
+        return "\n".join([self._off(), head, *lines])
+
+    def _off(self) -> str:
+        """How wrong the run is: what its conserved energy does not show."""
+        if self.error is None:
+            return "how far off it is was not measured: not every step of the runs with dt, dt/2 and dt/4 converged"
+        return self.error.summary
 
     def _reversible(self, bounds: np.ndarray, eps: float) -> str:
         """The verdict on a step and one back."""
@@ -143,7 +153,7 @@ def certify(step: Langevin, state: State, dt: float, num_steps: int) -> ThermalC
 @overload
 def certify(step: Step, state: State, dt: float, num_steps: int) -> Certificate: ...
 def certify(step: Step, state: State, dt: float, num_steps: int) -> Certificate | ThermalCertificate:
-    """Measure what `step` conserves from `state`: energy, momentum, form, order, reversibility.
+    """Measure how wrong a run from `state` is and what `step` conserves: energy, momentum, form, order, reversibility.
 
     For a step with noise (`schemes.langevin`) it measures whether the heat is exact, the change of energy less heat,
     and whether the canonical measure has a bias.
@@ -152,7 +162,8 @@ def certify(step: Step, state: State, dt: float, num_steps: int) -> Certificate 
         step: a scheme's step.
         state: the initial state of one body.
         dt: step size.
-        num_steps: length of the run along which the invariants are measured.
+        num_steps: length of the run along which the invariants and the error are measured; the error requires six
+            times as many steps.
 
     Returns:
         A `Certificate`, or a `ThermalCertificate` for a step with noise; `print` shows the verdicts.
@@ -197,7 +208,34 @@ def certify(step: Step, state: State, dt: float, num_steps: int) -> Certificate 
         momentum_map=shapes_now(step.system.momentum, state).size > 0,
         hamiltonian=step.system.hamiltonian,
         scheme_order=step.order,
+        error=_error(step, state, h, num_steps, most, run),
     )
+
+
+def _error(step: Step, state: State, h: Array, num_steps: int, most: int, run: Trajectory) -> RunError | None:
+    """The error of a run at all its steps, by the program that made it; None if a step did not converge."""
+    finer = [
+        _measure.run(step, state, _checks.as_array(np.asarray(h) / parts), num_steps, most, save_every=parts)
+        for parts in (2, 4)
+    ]
+    if not (step.approximate or all(x.info.converged.all() for x in (run, *finer))):
+        return None
+    half, quarter = (
+        jax.device_get(_at_times(step.system, x.state, run.t)) if step.own_time else x.state for x in finer
+    )
+    return estimate(np.asarray(run.t), None, step.order, run.state, half, quarter, num_steps)
+
+
+@partial(compiled, once=True)
+def _at_times(system: System, states: State, t: Array) -> State:
+    """States moved to times that are near their own, to first order."""
+
+    def moved(state: State, t: Array) -> State:
+        assert state.t is not None  # a step with its own time advances it
+        rate = time_derivative(system, state)
+        return state._replace(q=state.q + (t - state.t) * rate.q, p=state.p + (t - state.t) * rate.p)
+
+    return jax.vmap(moved)(states, t)
 
 
 class MeasuredInvariants(NamedTuple):

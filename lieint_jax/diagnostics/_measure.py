@@ -12,15 +12,15 @@ from lieint_jax.runs import clock_of, of_any_length, rows_for, trajectory
 from lieint_jax.types import State, Step, StepError, Trajectory, checked_step, promoted
 
 
-def run(step: Step, state: State, dt: Array, count: int, most: int) -> Trajectory:
-    """The trajectory of `count` steps, each saved, as host arrays if they are concrete.
+def run(step: Step, state: State, dt: Array, count: int, most: int, save_every: int = 1) -> Trajectory:
+    """The trajectory with `count` saved states after the first, as host arrays if they are concrete.
 
-    It is the trajectory of `integrate`, by one program for all counts up to `most`.
+    It is the trajectory of `integrate`, by one program for all counts up to `most` and all `save_every`.
     """
-    clock, _ = clock_of(step, state, dt.dtype, dt, count, None)
+    clock, _ = clock_of(step, state, dt.dtype, dt, count * save_every, None)
     most = max(count, most)
-    found = of_any_length(step, state, clock, count, rows_for(state, most) or most, 1)
-    return trajectory(step, state, clock, count, 1) if found is None else found
+    found = of_any_length(step, state, clock, count, rows_for(state, most) or most, save_every)
+    return trajectory(step, state, clock, count, save_every) if found is None else found
 
 
 def checked(step: Step, state: State, dt: ArrayLike, most: int) -> tuple[Step, State, Array]:

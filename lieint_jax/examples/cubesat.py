@@ -41,6 +41,7 @@ def main(
     resume: bool = False,
     seed: int = 2026,
     pictures: bool = True,
+    error: bool = False,
 ) -> None:
     """Integrate the satellite through its phases, and measure when it is captured and what did the work.
 
@@ -54,6 +55,8 @@ def main(
         resume: continue the run in `out`.
         seed: of the deviations of the members.
         pictures: draw the rates, angles and wheels, and the work of each law.
+        error: measure how far the nominal satellite is off, by runs with half and a quarter of the step; it compiles
+            the laws once more.
     """
     jax.config.update("jax_enable_x64", True)
     out = out or li.report.new_path("cubesat.zarr", resume)
@@ -130,7 +133,7 @@ def main(
     remarks.append(f"  at the end within {CAPTURED:g}° of the nadir: {k} of {members}, {share}")
     spread = "attitude {:g}°, angular velocity {:g}°/s, second moments of mass {:g} of them, residual dipole {:g} A m²"
     spread = spread.format(*SPREAD.values())
-    print(li.report.text(TITLE, run, rows, changed=changed, remarks=remarks, spread=spread))
+    print(li.report.text(TITLE, run, rows, changed=changed, remarks=remarks, spread=spread, error=int(error)))
     if pictures:
         drawn = li.plots.save(draw(t, series), out.with_name(f"{out.stem}-phases.png"))
         print("pictures:", *drawn, *li.plots.overview(run, out, TITLE))

@@ -74,13 +74,11 @@ def main(
     step, states = jax.jit(jax.vmap(pair, (0, None)))(noise, speed_change / 1000)
     run = li.run(step, states, dt, steps, save_every=2, own_step=True, store=store, resume=resume)
     motion, parts = li.measure.relative_motion(run), li.measure.pair_energies(run)
-    P, L = np.split(np.asarray(run.map(lambda step, state: step.system.momentum(state))), 2, axis=-1)
-    of_moon, start = (np.linalg.norm(x, axis=-1, keepdims=True) for x in (run.state.p[0, :, 1, :3], L[0]))
+    _, *momenta = li.report.changes(run)
     changed = [
         li.report.Change("energy, over |energy of the orbit|", parts.total, abs(parts.orbit[0])),
         li.report.Change("energy, over |energy|", parts.total, abs(parts.total[0])),
-        li.report.Change("linear momentum, over that of the secondary", P, of_moon),
-        li.report.Change("angular momentum, relative", L, start),
+        *momenta,
     ]
     faces, upright = li.measure.is_librating(motion.libration), np.rad2deg(motion.obliquity).max(axis=0) < 30
     shares = ", ".join(f"{np.ptp(E[:, 0]) / abs(parts.orbit[0, 0]):.3g}" for E in parts[:4])

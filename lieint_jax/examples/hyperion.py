@@ -158,7 +158,7 @@ def main(
     lines += [f"\n{wrapped.fill(x)}" for x in NOTES]
     failed = sum(int((~np.asarray(x.info.converged)).sum()) for x in (*measured, *about))
     lines.append(f"\n  {failed} of these runs had a step that did not converge")
-    print(li.report.text(TITLE, run, changed=li.report.changes(run), remarks=lines))
+    print(li.report.text(TITLE, run, changed=li.report.changes(run), remarks=lines, error=8))
     if pictures:
         print("pictures:", *li.plots.save(draw(run, section, angles), out.with_name(f"{out.stem}-section.png")))
 

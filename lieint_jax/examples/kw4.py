@@ -109,13 +109,11 @@ def main(
             for x, E in zip(PARTS, parts, strict=False)
         ),
     ]
-    P, L = np.split(np.asarray(run.map(lambda step, state: step.system.momentum(state))), 2, axis=-1)
-    of_moon, start = (np.linalg.norm(x, axis=-1, keepdims=True) for x in (run.state.p[0, :, 1, :3], L[0]))
+    _, *momenta = li.report.changes(run)
     changed = [
         li.report.Change("energy, over |energy of the orbit|", parts.total, abs(parts.orbit[0])),
         li.report.Change("energy, over |energy|", parts.total, abs(parts.total[0])),
-        li.report.Change("linear momentum, over that of the secondary", P, of_moon),
-        li.report.Change("angular momentum, relative", L, start),
+        *momenta,
     ]
     faces, upright = li.measure.is_librating(motion.libration).sum(), (obliquity < UPRIGHT).sum()
     shares = ", ".join(f"{np.ptp(x[:, 0]) / abs(parts.orbit[0, 0]):.3g}" for x in parts[:4])

@@ -73,19 +73,17 @@ def main(
     q, p, spent = (np.asarray(x) for x in (run.state.q, run.state.p, run.state.work))
     distance, spins = np.linalg.norm(q[..., 1, :3] - q[..., 0, :3], axis=-1), p[..., 5] / MOMENTS
     orbital = np.cross(q[..., :3], p[..., :3])[..., 2].sum(axis=-1)
-    H, momentum = li.report.changes(run)
-    P, L = p[..., :3].sum(axis=2), orbital + (MOMENTS * spins).sum(axis=-1)
-    changed = [
-        H._replace(name="energy H plus the energy lost"),
-        li.report.Change("linear momentum P, over that of a body", P, abs(p[..., :3]).max(), momentum.promise),
-        li.report.Change("angular momentum L", L, abs(L[0]).max(), momentum.promise),
-    ]
+    energy, *momenta = li.report.changes(run)
+    changed = [energy._replace(name="energy H plus the energy lost"), *momenta]
     # A circle with the orbit's momentum; the distance oscillates about it, by the eccentricity.
     GM, specific, t = G * MASSES.sum(), orbital[-1] * MASSES.sum() / MASSES.prod(), float(run.t[-1])
     circle, period, days = specific**2 / GM, 2 * np.pi * specific**3 / GM**2, 2 * np.pi / spins
     # By the orbit's gain of momentum, L ∝ √a: accurate to 1e-3, the rounding of the Earth's rate over its change.
     growth = 2 * DISTANCE * (MOMENTS * (spins[0] - spins[-1])).sum(axis=-1) / orbital[0] * YEAR / t
-    locked, row = li.tides.double_synchronous(G, MASSES, MOMENTS.sum(), float(L[0, 0])), li.report.Row
+    locked, row = (
+        li.tides.double_synchronous(G, MASSES, MOMENTS.sum(), float(momenta[1].values[0, 0, 2])),
+        li.report.Row,
+    )
     rows = [
         row("distance at the end (km)", distance[-1]),
         row("of a circle with the orbit's angular momentum (km)", circle),
@@ -108,12 +106,13 @@ def main(
     if certificate:
         print(f"\n{li.report.certificate(run)}")
     if pictures:
-        figure = draw_course(np.asarray(run.t), distance[:, 0], spins[:, 0], changed)
+        H, L = energy.values[:, 0], momenta[1].values[:, 0, 2]
+        figure = draw_course(np.asarray(run.t), distance[:, 0], spins[:, 0], H, L)
         print("pictures:", *li.plots.save(figure, out.with_name(f"{out.stem}-course.png")))
 
 
 @li.plots.style()
-def draw_course(t, distance, spins, changed):
+def draw_course(t, distance, spins, H, L):
     """Plot the distance and the angular rates of the nominal member, and its balances."""
     fig, [[left, middle, right]] = li.plots.figure(3)
     fig.suptitle(TITLE)
@@ -123,7 +122,6 @@ def draw_course(t, distance, spins, changed):
     rates = {"rotation, Earth": spins[:, 0], "rotation, Moon": spins[:, 1], "orbit": orbit}
     li.plots.series(middle, t, {name: x / x[0] - 1 for name, x in rates.items()}, "relative change", "d")
     middle.set_title("angular rates")
-    H, _, L = (x.values[:, 0] for x in changed)
     balances = {"angular momentum L": L / L[0] - 1, "energy H plus the energy lost": H / H[0] - 1}
     li.plots.log_error(right, t, balances, "relative change", "d")
     right.set_title("balances")

@@ -60,17 +60,12 @@ def main(
     q, p, spent = (np.asarray(x) for x in (run.state.q, run.state.p, run.state.work))
     distance, spins = np.linalg.norm(q[:, 1, :3] - q[:, 0, :3], axis=-1), p[..., 5] / MOMENTS
     orbital = np.cross(q[..., :3], p[..., :3])[..., 2].sum(axis=-1)
-    H, momentum = li.report.changes(run)
-    P, L = p[..., :3].sum(axis=1), orbital + (MOMENTS * spins).sum(axis=-1)
-    changed = [
-        H._replace(name="energy H plus the energy lost"),
-        li.report.Change("linear momentum P, over that of a body", P, abs(p[..., :3]).max(), momentum.promise),
-        li.report.Change("angular momentum L", L, abs(L[0]), momentum.promise),
-    ]
+    energy, *momenta = li.report.changes(run)
+    changed = [energy._replace(name="energy H plus the energy lost"), *momenta]
     # A circle with the orbit's momentum; the distance oscillates about it, by the eccentricity.
     GM, specific = G * MASSES.sum(), orbital[-1] * MASSES.sum() / MASSES.prod()
     circle, period = specific**2 / GM, 2 * np.pi * specific**3 / GM**2
-    locked, row = li.tides.double_synchronous(G, MASSES, MOMENTS.sum(), float(L[0])), li.report.Row
+    locked, row = li.tides.double_synchronous(G, MASSES, MOMENTS.sum(), float(momenta[1].values[0, 2])), li.report.Row
     published = li.report.Published(19596.0, 0.2, BROZOVIC), li.report.Published(6.387222, source=BROZOVIC)
     rows = [
         row("distance at the end (km)", distance[-1]),
@@ -87,12 +82,14 @@ def main(
     if certificate:
         print(f"\n{li.report.certificate(run)}")
     if pictures:
-        figure = draw_course(np.asarray(run.t), distance, spins, locked.distance, changed)
+        figure = draw_course(
+            np.asarray(run.t), distance, spins, locked.distance, energy.values, momenta[1].values[..., 2]
+        )
         print("pictures:", *li.plots.save(figure, out.with_name(f"{out.stem}-course.png")))
 
 
 @li.plots.style()
-def draw_course(t, distance, spins, locked, changed):
+def draw_course(t, distance, spins, locked, H, L):
     """Plot the distance, the angular rates, and the balances of energy and angular momentum."""
     fig, [[left, middle, right]] = li.plots.figure(3)
     fig.suptitle(TITLE)
@@ -104,7 +101,6 @@ def draw_course(t, distance, spins, locked, changed):
     rates = {"rotation, Pluto": spins[:, 0], "rotation, Charon": spins[:, 1], "orbit": orbit}
     li.plots.series(middle, t, rates, "angular rate (rad/d)", "d")
     middle.set_title("angular rates")
-    H, _, L = (x.values for x in changed)
     balances = {"angular momentum L": L / L[0] - 1, "energy H plus the energy lost": H / H[0] - 1}
     li.plots.log_error(right, t, balances, "relative change", "d")
     right.set_title("balances")

@@ -94,7 +94,7 @@ def main(
     for k, name in enumerate(NAMES):
         rows.append(row(f"{name}: rotation period, mean rate (h)", periods[k], ROTATIONS.get(k, ())))
     remarks = [f"  periods: mean rates of longitudes about L over {run.t[-1] / DAY:.4g} d, by least squares"]
-    about = {"changed": changes(run), "remarks": remarks, "spread": "Alpha's mass 0.24 %"}
+    about = {"changed": li.report.changes(run), "remarks": remarks, "spread": "Alpha's mass 0.24 %"}
     print(li.report.text(TITLE, run, rows, **about))
     if certificate:
         print(f"\n{li.report.certificate(run)}")
@@ -106,27 +106,6 @@ def main(
 def row(name, values, published=()):
     """A row with six digits."""
     return li.report.Row(name, values, published, digits=".6g")
-
-
-def changes(run):
-    """Energy and momenta, relative to the greatest term of each."""
-
-    def invariants(step, state):
-        x, p = state.q[:, :3], state.p[:, :3]
-        angular = jnp.cross(x, p) + state.p[:, 3:]
-        bodies = step.system
-        return bodies.kinetic_energy(state), bodies.energy(state), bodies.momentum(state), p, angular
-
-    def greatest(vectors):
-        return np.linalg.norm(vectors, axis=-1).max(axis=(0, 2))[:, None]
-
-    K, H, momentum, p, angular = map(np.asarray, run.map(invariants))
-    change = li.report.Change
-    return [
-        change("energy H, over the greatest kinetic energy", H, K.max(axis=0)),
-        change("linear momentum P, over the greatest |p|", momentum[..., :3], greatest(p)),
-        change("angular momentum L, over the greatest |x × p + π|", momentum[..., 3:], greatest(angular)),
-    ]
 
 
 @li.plots.style()

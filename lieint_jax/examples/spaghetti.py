@@ -91,7 +91,7 @@ def main(
         rows.append(li.report.Row("|P| at the end; impulse of the loads", end_P, closed_form=impulse))
         rows.append(li.report.Row("|L| at the end", end_L))
     spread = ", ".join(f"{name} {100 * sigma:g} %" for name, sigma in SPREAD.items())
-    print(li.report.text(TITLE, run, rows, changed=changed, spread=spread))
+    print(li.report.text(TITLE, run, rows, changed=changed, spread=spread, error=1))
     if pictures:
         drawn = li.plots.save(draw_shape(run), out.with_name(f"{out.stem}-shape.png"))
         print("pictures:", *drawn, *li.plots.save(draw_energy(t, H, work), out.with_name(f"{out.stem}-energy.png")))

@@ -74,6 +74,7 @@ def main(
     print(f"{TITLE}, in order of magnitude")
     print(f"  {members} members of random phases and orientations, {steps} steps of {24 / steps:g} d, {step.name}")
     print(f"  a hyperbola of least distance {distance:.5f} au, {speed:.2f} km/s at infinity")
+    print(f"  nominal member: {run.error(1).summary}")
     print("  (elements quoted from JPL's Small-Body Database, not checked there; the Earth on a circle)")
     print(f"  momentum: changes by {100 * np.sqrt((size**2).mean()):.2f} % rms, rotates by {turn.max():.2f}° at most")
     print(f"  precession rate: {rms[0]:.3f} °/d rms, {most:.2f} at most; rotation rate: {rms[1]:.4f} rms")

@@ -59,13 +59,8 @@ def main(
     states = jax.jit(jax.vmap(lambda key: settled_state(droplet, key)))(keys)
     run = li.run(step, states, DT, steps, save_every=20, store=store, resume=resume)
     K, T = (np.asarray(run.map(f)) for f in (lambda step, z: step.system.kinetic_energy(z), temperature))
-    energy, momentum = li.report.changes(run)
-    x, p = (np.asarray(y)[..., :3] for y in (run.state.q, run.state.p))
-    size = np.repeat([abs(p).max(), abs(np.cross(x, p)).max()], 3)
-    changed = [
-        energy._replace(name="energy H, over the least kinetic energy", size=K.min()),
-        momentum._replace(name="momenta P and L, over the largest of a molecule", size=size),
-    ]
+    energy, *momenta = li.report.changes(run)
+    changed = [energy._replace(name="energy H, over the least kinetic energy", size=K.min()), *momenta]
     distances = li.measure.distances(run, molecule.points[0])
     density = li.measure.pair_density(distances[1:], np.linspace(0.2, 0.6, 81), 0.35)
     later = T[len(T) // 2 :]

@@ -12,7 +12,6 @@ import matplotlib
 import matplotlib.style
 import numpy as np
 from matplotlib.axes import Axes
-from matplotlib.colors import LinearSegmentedColormap, to_rgb
 from matplotlib.figure import Figure
 from matplotlib.patheffects import withStroke
 from numpy.typing import ArrayLike
@@ -31,7 +30,7 @@ SpatialAxes: TypeAlias = Any  # matplotlib's Axes3D, some of whose declared type
 _MARKED = 8  # markers on each curve of `series`
 _COMPARABLE = 30  # works with peaks of such a ratio are drawn on a linear axis
 _LAYOUTS = 4  # drawings after which a constrained layout has settled: each moves the panels less
-_DOTS, _HEXAGONS = 2000, 60  # points that are drawn as dots, and hexagons across an axis for more
+_DOTS = 2000  # so many dots and more are the smallest and palest
 _NEAR = 1e6  # a curve with errors below so many round-offs is drawn with the line of round-off
 
 
@@ -252,21 +251,6 @@ def unit_vectors(longitude: np.ndarray, latitude: np.ndarray) -> np.ndarray:
     """Unit vectors (n, 3) with the longitudes and latitudes (n,), in radians."""
     c = np.cos(latitude)
     return np.stack([c * np.cos(longitude), c * np.sin(longitude), np.sin(latitude)], axis=-1)
-
-
-def points(ax: Any, x: np.ndarray, y: np.ndarray, label: str, color: str = INK, **look: Any) -> Any:
-    """Mark points (n,) such that their density is seen: dots that are smaller and paler the more there are.
-
-    Above 2000 they are counted in hexagons, which are darker the more points they hold; on a map they remain dots.
-    `look` overrides the look of the dots, as in `Axes.scatter`.
-    """
-    if len(x) <= _DOTS or ax.name != "rectilinear":
-        ax.scatter(x, y, label=label, color=color, **_look_of_dots(len(x), look))
-        return ax
-    shades = LinearSegmentedColormap.from_list("shades", [(*to_rgb(color), 0.15), (*to_rgb(color), 1.0)])
-    ax.hexbin(x, y, gridsize=_HEXAGONS, bins="log", mincnt=1, cmap=shades, linewidths=0, rasterized=True)
-    ax.scatter([], [], marker="h", color=color, label=f"{label}: darker where there are more")
-    return ax
 
 
 def _look_of_dots(count: int, look: dict[str, Any]) -> dict[str, Any]:

@@ -67,10 +67,11 @@ def errors(run: Run, title: str = "") -> Figure:
     """Plot the errors of energy (less work, if counted) and momentum against time: the worst member and the median."""
     H, K, Phi = series(energy_less_work, run), series(kinetic_energy, run), series(momentum, run)
     what = "error of energy less work" if counts_work(run.state) else "energy error"
-    found = {f"{what}, relative": abs(H - H[0]) / positive(np.maximum(abs(H[0]), K.max(axis=0)))}
+    size = np.maximum(abs(H[0]), K.max(axis=0))
+    found = {f"{what}, relative": abs(H - H[0]) / np.where(size > 0, size, 1.0)}
     if Phi.shape[-1]:
         norm = np.linalg.norm(Phi[0], axis=-1)
-        found["momentum error, relative"] = np.linalg.norm(Phi - Phi[0], axis=-1) / positive(norm)
+        found["momentum error, relative"] = np.linalg.norm(Phi - Phi[0], axis=-1) / np.where(norm > 0, norm, 1.0)
     fig, axes = plots.figure(len(found))
     for ax, (label, error) in zip(axes[0], found.items(), strict=True):
         curves = {"worst member": error.max(axis=1), "median": np.median(error, axis=1)}
@@ -238,11 +239,6 @@ def energy(system: Any, state: State) -> Array:
 def momentum(system: Any, state: State) -> Array:
     """The components of the momentum map of a state."""
     return system.momentum(state)
-
-
-def positive(size: np.ndarray) -> np.ndarray:
-    """Sizes to which changes are relative, 1 in place of 0."""
-    return np.where(size > 0, size, 1.0)
 
 
 def kinetic_energy(system: Any, state: State) -> Array:

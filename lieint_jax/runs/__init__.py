@@ -5,6 +5,7 @@ disk.
 """
 
 from lieint_jax.runs import store
+from lieint_jax.runs._host.error import RunError, estimate
 from lieint_jax.runs._host.make_run import open_run, run
 from lieint_jax.runs._host.memory import peak_memory
 from lieint_jax.runs._host.run import Run
@@ -54,6 +55,7 @@ __all__ = [
     "Reduction",
     "ReversibleAdjoint",
     "Run",
+    "RunError",
     "StoreOptions",
     "Summary",
     "Transition",
@@ -63,6 +65,7 @@ __all__ = [
     "compiler_options",
     "count_cores",
     "counted",
+    "estimate",
     "event",
     "events",
     "first_devices",

@@ -137,8 +137,9 @@ def test_verdicts_distinguish_random_rounding_from_one_rounding_per_step(energy,
         "precision": "float64",
         "num_steps": 10_000,
         "hamiltonian": True,
+        "error": None,
     }
-    line = str(diagnostics.Certificate(**exact | {"energy": energy})).splitlines()[1]
+    line = str(diagnostics.Certificate(**exact | {"energy": energy})).splitlines()[2]
     assert line.endswith("   " + verdict)
 
 
@@ -147,8 +148,9 @@ def test_a_certificate_has_no_number_for_a_momentum_that_the_system_lacks():
     certificate = diagnostics.Certificate(
         **dict.fromkeys(diagnostics.Certificate._fields, 0.0)
         | {"precision": "float64", "momentum": np.nan, "momentum_map": False, "energy": np.nan, "hamiltonian": 1}
+        | {"error": None}
     )
-    energy, momentum = str(certificate).splitlines()[1:3]
+    energy, momentum = str(certificate).splitlines()[2:4]
     assert momentum.split(maxsplit=2) == ["momentum", "—", "no momentum map"]
     assert energy.endswith("nan   not a number")
     star = li.systems.group_potential(li.groups.translations(2), [1.0, 1.0], lambda q: q[0, 2] ** 2 + q[1, 2] ** 4)
@@ -288,8 +290,8 @@ def test_verdicts_of_bodies_released_at_rest_are_those_of_any_units():
         for step, state in ((li.schemes.top_energy_momentum(top), start), (li.schemes.splitting(pair), apart)):
             verdicts.append(str(diagnostics.certify(step, state, 0.02, 50)))
     assert verdicts[2:4] == verdicts[4:] == verdicts[:2]  # to the last digit: the units are powers of 2
-    assert "conserved to round-off" in verdicts[0].splitlines()[1]  # the energy
-    momentum, _, form, back = verdicts[1].splitlines()[2:6]
+    assert "conserved to round-off" in verdicts[0].splitlines()[2]  # the energy
+    momentum, _, form, back = verdicts[1].splitlines()[3:7]
     assert "conserved to round-off" in momentum
     assert "exact to round-off" in form
     assert "reversible to round-off" in back

@@ -150,3 +150,47 @@ def test_changes_of_members_are_measured_in_the_system_of_each():
         assert alone[k].largest() > 1e-5
     assert energy.largest() == pytest.approx(max(x.largest() for x in alone), rel=1e-9)
     assert momentum.largest() < 1e-14
+
+
+def test_a_report_states_how_far_the_nominal_member_or_the_worst_of_several_is_off():
+    run = two_members()
+    one, both = (float(x.max()) for count in (1, 2) if (x := run.error(count).attitude) is not None)
+    assert both > 1.1 * one > 0
+    for count, who, angle in (
+        (1, "nominal member", one),
+        (2, "worst of 2 members", both),
+        (8, "worst of 2 members", both),
+    ):
+        assert f"\n  {who}: attitude up to {angle:.2g} rad (" in report(error=count)
+    assert " off until t" not in report()
+
+
+def test_a_certificate_of_a_long_run_has_the_error_at_its_end():
+    """The conserved quantities are measured in the first 10 000 steps, the error until the last, by the exact flow."""
+    body = li.systems.rigid_body((1.0, 2.0, 3.0))
+    start = body.state(angular_velocity=[0.2, 0.0, 1.0])
+    run = li.run(li.schemes.so3_midpoint(body), start, 0.01, 20_000, save_every=100, progress=False)
+    exact = jax.vmap(lambda t: body.solution(start, t))(run.t).q
+    head, first, *_ = li.report.certificate(run).splitlines()
+    angle = max(map(float, jax.vmap(li.groups.so3.angle)(run.state.q, exact)))
+    assert head == "Certificate of the nominal member, first 10000 of 20000 steps:"
+    assert first.startswith(f"attitude up to {angle:.2g} rad (")
+    assert first.endswith("off until t = 200, by a run with dt/2")
+
+
+def test_the_momenta_of_several_bodies_are_two_rows_relative_to_the_largest_of_a_body():
+    """A pair whose center is at rest, so that the sum of the linear momenta is 0, which is no size."""
+    V = li.potentials.point_masses(1.0, [2.0, 1.0])
+    pair = li.systems.rigid_bodies([2.0, 1.0], [[0.5, 0.6, 0.7], [0.1, 0.2, 0.2]], V)
+    start = pair.state([[-1.0, 0.0, 0.0], [2.0, 0.0, 0.0]], velocities=[[0.0, -0.2, 0.0], [0.0, 0.4, 0.0]])
+    run = li.run(li.schemes.splitting(pair), start, 0.1, 20, progress=False)
+    _, *momenta = li.report.changes(run)
+    assert [x.name for x in momenta] == [
+        f"{kind} momentum, over the largest of a body" for kind in ("linear", "angular")
+    ]
+    assert all(0 <= x.largest() < 1e-14 and x.promise == "conserved to round-off" for x in momenta)
+    p, q = np.asarray(run.state.p), np.asarray(run.state.q)
+    assert momenta[0].size == pytest.approx(np.linalg.norm(p[..., :3], axis=-1).max())
+    of_body = np.cross(q[..., :3], p[..., :3]) + p[..., 3:]
+    assert momenta[1].size == pytest.approx(np.linalg.norm(of_body, axis=-1).max())
+    np.testing.assert_allclose(momenta[1].values, of_body.sum(axis=1), rtol=0, atol=1e-15)

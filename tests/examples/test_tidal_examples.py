@@ -5,7 +5,6 @@ import pytest
 from example_runs import run_example
 from kept_values import numbers_after
 
-import lieint_jax as li
 from lieint_jax.examples import moon_tides, pluto_charon
 
 
@@ -35,8 +34,8 @@ def test_the_picture_of_the_moon_shows_changes_relative_to_themselves():
     """Lines of the Moon's rates would be flat: they change by 2e-10 of themselves in a year."""
     t = np.linspace(0.0, 10.0, 11)
     spins = np.stack([6.3 - 1e-9 * t, np.full(11, 0.2)], axis=1)
-    changed = [li.report.Change(name, 1 + 1e-15 * t[:, None]) for name in "HPL"]
-    distance, rates, balances = moon_tides.draw_course(t, 384400 + 1e-5 * t, spins, changed).axes
+    constant = 1 + 1e-15 * t
+    distance, rates, balances = moon_tides.draw_course(t, 384400 + 1e-5 * t, spins, constant, constant).axes
     assert distance.get_ylabel() == "growth from 384400 km (cm)"
     assert distance.lines[0].get_ydata()[-1] == pytest.approx(10.0, rel=3e-7)
     assert rates.get_ylabel() == "relative change"
@@ -48,8 +47,8 @@ def test_the_picture_of_the_moon_shows_changes_relative_to_themselves():
 def test_the_picture_of_pluto_and_charon_has_the_distance_of_the_locked_state():
     t = np.linspace(0.0, 10.0, 11)
     spins = np.stack([9.4 - 0.1 * t, np.full(11, 1.3)], axis=1)
-    changed = [li.report.Change(name, 1 + 1e-15 * t) for name in "HPL"]
-    distance, rates, _ = pluto_charon.draw_course(t, 16000 + 360 * t, spins, 19596.0, changed).axes
+    constant = 1 + 1e-15 * t
+    distance, rates, _ = pluto_charon.draw_course(t, 16000 + 360 * t, spins, 19596.0, constant, constant).axes
     assert list(distance.lines[1].get_ydata()) == [19596.0, 19596.0]
     assert rates.get_ylabel() == "angular rate (rad/d)"
     assert rates.lines[0].get_ydata()[-1] == pytest.approx(8.4, rel=1e-15, abs=0)
