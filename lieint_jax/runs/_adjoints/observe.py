@@ -62,6 +62,7 @@ def observe(
             dt = 0; and the errors of `reversible`.
     """
     step, state, h = checked(step, state, dt, derivative)
+    tolerance = None if tolerance is None else _checks.tolerance("tolerance", tolerance)
     if (parts := splits(step)) > 1:
         h, dt = h / parts, dt / parts
     refuse_times(step, "times")

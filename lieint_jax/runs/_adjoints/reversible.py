@@ -67,6 +67,10 @@ class ReversibleAdjoint(Adjoint):
 
     tolerance: float | None = None
 
+    def __post_init__(self) -> None:
+        if self.tolerance is not None:
+            object.__setattr__(self, "tolerance", _checks.tolerance("tolerance", self.tolerance))
+
     def check(self, step: Step, clock: Clock) -> None:
         """Raise ValueError if the step is not symmetric, or if the steps have different sizes."""
         check_symmetric(step)
