@@ -51,6 +51,7 @@ class KeplerSplitting(Step):
     method: Order = static()  # a key of `METHODS`
     order: float = static()
     symmetric: bool = static(default=True)
+    loops = True
 
     @property
     def name(self) -> str:

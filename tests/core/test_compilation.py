@@ -11,6 +11,7 @@ import threading
 import weakref
 from pathlib import Path
 
+import grid
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -71,6 +72,30 @@ def test_a_step_made_again_with_other_numbers_compiles_nothing(caplog, call):
         jax.clear_caches()
         assert programs(caplog, lambda: call(*a_step()))
     assert not programs(caplog, lambda: call(*a_step(0.04)))
+
+
+def a_step_of(scheme):
+    """The first step of a scheme in the grid of systems and schemes, and a state and dt."""
+    return next((step, state, dt) for module, _, step, state, dt in grid.cases() if module == scheme)
+
+
+def assert_a_second_call_compiles_nothing(caplog, step, state, dt):
+    end, _ = step(state, dt)
+    assert not programs(caplog, lambda: step(end, dt))
+
+
+def test_a_step_that_iterates_compiles_nothing_at_a_second_call_outside_of_jit(caplog):
+    """A loop is a program of its own there, of functions that are made in the call."""
+    body = li.systems.torqued_body([1.0, 2.0, 2.5], li.torques.viscous([0.1, 0.1, 0.1]))
+    step = li.schemes.torqued_midpoint(body)
+    assert step.loops
+    assert_a_second_call_compiles_nothing(caplog, step, body.state(angular_velocity=[0.2, 0.1, 1.0]), 0.1)
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("scheme", sorted(grid.schemes()))
+def test_a_step_of_any_scheme_compiles_nothing_at_a_second_call_outside_of_jit(caplog, scheme):
+    assert_a_second_call_compiles_nothing(caplog, *a_step_of(scheme))
 
 
 FIRST = """
