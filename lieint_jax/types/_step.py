@@ -47,8 +47,8 @@ class Step:
         reuses: whether the end of a step computes what the next one begins with, so that a run computes it once.
         approximate: whether fewer iterations are set than convergence requires: a run reports the residual and
             continues.
-        loops: whether a step iterates until it is done. Outside of jit JAX would compile such a loop again at each call,
-            since its functions are made in the call; so there `advance` is one program.
+        loops: whether a step iterates until it is done. Outside of jit JAX would compile such a loop again at each
+            call, which makes its functions; so there `advance` is one program.
         commuting: whether steps of different sizes commute, so that compositions need fewer stages (`schemes.compose`).
         velocity_weight: α of the momentum at n+α from which the step computes Θ, for `diagnostics.conditions`.
     """
