@@ -11,7 +11,6 @@ import threading
 import weakref
 from pathlib import Path
 
-import grid
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -74,11 +73,6 @@ def test_a_step_made_again_with_other_numbers_compiles_nothing(caplog, call):
     assert not programs(caplog, lambda: call(*a_step(0.04)))
 
 
-def a_step_of(scheme):
-    """The first step of a scheme in the grid of systems and schemes, and a state and dt."""
-    return next((step, state, dt) for module, _, step, state, dt in grid.cases() if module == scheme)
-
-
 def assert_a_second_call_compiles_nothing(caplog, step, state, dt):
     end, _ = step(state, dt)
     assert not programs(caplog, lambda: step(end, dt))
@@ -90,12 +84,6 @@ def test_a_step_that_iterates_compiles_nothing_at_a_second_call_outside_of_jit(c
     step = li.schemes.torqued_midpoint(body)
     assert step.loops
     assert_a_second_call_compiles_nothing(caplog, step, body.state(angular_velocity=[0.2, 0.1, 1.0]), 0.1)
-
-
-@pytest.mark.long
-@pytest.mark.parametrize("scheme", sorted(grid.schemes()))
-def test_a_step_of_any_scheme_compiles_nothing_at_a_second_call_outside_of_jit(caplog, scheme):
-    assert_a_second_call_compiles_nothing(caplog, *a_step_of(scheme))
 
 
 FIRST = """
