@@ -250,6 +250,17 @@ def not_negative(name: str, value: Input, *shapes: Sequence[int]) -> Array:
     return number
 
 
+def tolerance(name: str, value: Input) -> float:
+    """A bound of an error, as a Python float, which programs may be kept by."""
+    try:
+        number = float(plain(name, value))
+    except TypeError as error:  # no number, or a tracer
+        raise ValueError(f"{name} must be a concrete number, got {value!r}") from error
+    if not 0 <= number < math.inf:
+        raise ValueError(f"{name} must be a finite number of at least 0, got {value}")
+    return number
+
+
 def named(check: Callable[..., Any], name: str, *more: Any, optional: bool = False) -> Callable[..., Any]:
     """A check of one value, such as `positive` or `count`, as the converter of a field; it may leave None.
 
@@ -409,7 +420,7 @@ def count(name: str, value: Input, least: int) -> int:
 
 def listed(name: str, value: Input, allowed: Iterable[int], advice: str = "") -> int:
     """An integer that is one of those allowed, as a Python int."""
-    numbers, found = list(allowed), integer(value)
+    numbers, found = list(allowed), integer(plain(name, value))
     if found not in numbers:
         *most, last = map(str, numbers)
         raise ValueError(f"{name} must be {', '.join(most)} or {last}, got {value!r}{advice}")
@@ -658,7 +669,10 @@ def nearly_unit(name: str, q: np.ndarray, most: float = PRINTED) -> np.ndarray:
 
 
 def rotation_matrix(name: str, value: Input, leading: bool = False) -> Array:
-    """A proper rotation matrix, orthogonal to 1e-6; with `leading`, an array of them; or a scipy `Rotation`."""
+    """A proper rotation matrix, orthogonal to 1e-6; with `leading`, an array of them; or a scipy `Rotation`.
+
+    What is none is NaN inside jit, where nothing is raised.
+    """
     value = value.as_matrix() if isinstance(value, RotationLike) else value
     R = with_leading(name, value, (3, 3)) if leading else real_array(name, value, (3, 3))
     if concrete(R):
@@ -672,7 +686,13 @@ def rotation_matrix(name: str, value: Input, leading: bool = False) -> Array:
             )
         if np.any(np.linalg.det(M) < 0):
             raise ValueError(f"{name} must be a rotation, got a reflection (determinant −1)")
-    return R
+        return R
+    M, most = jax.lax.stop_gradient(R), max(UNIT_TOLERANCE, 16 * float(jnp.finfo(R.dtype).eps))
+    size = jnp.max(jnp.abs(M), axis=(-1, -2), keepdims=True)
+    M = jnp.where(size <= 2, M, 0)  # others would overflow
+    defect = jnp.max(jnp.abs(jnp.swapaxes(M, -1, -2) @ M - jnp.eye(3)), axis=(-1, -2), keepdims=True)
+    proper = jnp.sum(jnp.cross(M[..., 0, :], M[..., 1, :]) * M[..., 2, :], axis=-1)[..., None, None] > 0
+    return jnp.where((defect <= most) & proper, R, jnp.nan)
 
 
 def with_leading(name: str, value: Input, shape: tuple[int, ...]) -> Array:

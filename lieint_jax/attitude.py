@@ -131,7 +131,8 @@ def from_matrix(R: ArrayLike, frame: Frame = "body_to_space") -> Array:
         that all digits and derivatives are right at any angle.
 
     Raises:
-        ValueError: not orthogonal, a reflection, not finite, another shape, another frame.
+        ValueError: not orthogonal, a reflection, not finite, another shape, another frame. Inside jit the attitude of
+            what is no rotation matrix is NaN.
     """
     return _directed(_each(so3.from_matrix, 2, _checks.rotation_matrix("R", R, leading=True)), frame)
 
@@ -146,12 +147,15 @@ def from_rotvec(rotvec: ArrayLike, frame: Frame = "body_to_space") -> Array:
 
     Raises:
         ValueError: a vector that is not finite, or so long that rounding changes its angle by 1e-3 rad (4.5e12 rad in
-            float64, 8e3 rad in float32); another shape; another frame.
+            float64, 8e3 rad in float32); another shape; another frame. Inside jit such an attitude is NaN.
     """
     vectors = _checks.with_leading("rotvec", rotvec, (3,))
-    if _checks.concrete(vectors):
+    most = 1e-3 / float(jnp.finfo(vectors.dtype).eps)
+    if not _checks.concrete(vectors):
+        longest = jnp.max(jnp.abs(vectors), axis=-1, keepdims=True, initial=0)
+        vectors = jnp.where(longest <= most, vectors, jnp.nan)
+    else:
         longest = np.max(np.abs(np.asarray(vectors)), initial=0)
-        most = 1e-3 / float(jnp.finfo(vectors.dtype).eps)
         if longest > most:
             raise ValueError(
                 f"rotvec must be below {most:.2g} rad in {vectors.dtype}, got {longest:.6g}, whose angle is rounded to "

@@ -205,6 +205,11 @@ def _largest(x: PyTree) -> Array:
     return functools.reduce(jnp.maximum, parts)
 
 
+def _every(flags: PyTree) -> Array:
+    """Whether all are True."""
+    return functools.reduce(jnp.logical_and, [jnp.all(flag) for flag in jax.tree.leaves(flags)])
+
+
 def _steady(growth: Array) -> Array:
     """Whether no correction was longer than allowed, from `ContractionMonitor.growth`."""
     return lax.stop_gradient(growth) <= math.sqrt(jnp.finfo(growth.dtype).eps)
@@ -215,50 +220,67 @@ def chords(
     factored: Callable[[_Unknown, _Unknown], la.Factored],
     size: Callable[[_Unknown], Array],
     length: Callable[[_Unknown], Array],
+    units: _Unknown,
     guess: _Unknown,
     iterations: int,
 ) -> tuple[_Unknown, _Unknown, Array]:
     """The root of `residual` near `guess` by Newton's method with each matrix used three times (Shamanskii 1967).
 
     The order is 4. The loop ends as soon as one more correction would leave a residual below round-off, as the rate of
-    the last two predicts, so an approximate F' does no harm. It is a `while_loop`, as long as the slowest member of a
-    batch needs; a member that is done does not move any more.
+    the last two predicts, so an approximate F' does no harm. Next to a stiff or fast component the residual of another
+    is below round-off too early, so the corrections of each must also have come to its own round-off, or have stalled.
+    It is a `while_loop`, as long as the slowest member of a batch needs; a member that is done does not move any more.
 
     Args:
         residual: x ↦ F(x), as in `root`.
         factored: (x, F(x)) ↦ F'(x), factored.
         size: F ↦ its size, relative to the terms that F sums up: round-off is eps.
         length: of a correction of x, relative to x.
+        units: of the components of x, of which the largest says how small a correction may be rounding.
         guess: the first iterate.
         iterations: the largest number of matrices.
 
     Returns:
-        The last iterate x; F(x) there; and whether the solve was steady and all matrices had positive pivots, as F'
-        has where Δt = 0. Derivatives of x are exact at a root.
+        The last iterate x; F(x) there; and whether the solve was steady, each component came to its round-off, and all
+        matrices had positive pivots, as F' has where Δt = 0. Derivatives of x are exact at a root.
     """
 
     def solve(function: Callable[[_Unknown], _Unknown], x: _Unknown) -> tuple[_Unknown, tuple[_Unknown, Array]]:
         eps = float(jnp.finfo(jax.tree.leaves(x)[0].dtype).eps)
 
+        def settled(x: _Unknown, before: _Unknown, last: _Unknown, earlier: _Unknown) -> _Unknown:
+            """Which components one more correction would not change, or are rounding: a new matrix has not helped."""
+            rounding = _STALLED * eps * _largest(jax.tree.map(jnp.multiply, x, units))
+            return jax.tree.map(
+                lambda x, before, last, earlier, unit: (
+                    (last * last <= eps * before * jnp.abs(x)) | ((8 * last > earlier) & (unit * last <= rounding))
+                ),
+                *(lax.stop_gradient(x), before, last, earlier, units),
+            )
+
         def use_matrix(carry: PyTree) -> PyTree:
-            x, monitor, k, _ = carry
+            x, monitor, k, earlier, known, _ = carry
             F = function(x)
             K = factored(x, F)
-            sizes = []
+            sizes, steps = [], []
             for use in range(_USES):
                 F = function(x) if use else F
                 sizes.append(size(F))
                 step = K.solve(F)
                 x = jax.tree.map(jnp.subtract, x, step)
                 monitor = monitor.update(lax.stop_gradient(length(step)), _CHORD)
+                steps.append(lax.stop_gradient(jax.tree.map(jnp.abs, step)))
             before, last = sizes[-2:]
             monitor = monitor._replace(growth=jnp.where(K.positive, monitor.growth, jnp.inf))
-            return x, monitor, k + 1, (last <= eps) | (last * last <= eps / 8 * before)
+            known = jax.tree.map(jnp.logical_or, known, settled(x, *steps[-2:], earlier))
+            done = (last <= eps) | (last * last <= eps / 8 * before)
+            return x, monitor, k + 1, steps[-1], known, done & _every(known)
 
-        monitor = ContractionMonitor.start(lax.stop_gradient(length(x)))
-        start = (x, monitor, jnp.zeros((), jnp.int32), jnp.zeros((), bool))
-        x, monitor, *_ = lax.while_loop(lambda c: (c[2] < iterations) & ~c[3], use_matrix, start)
-        return x, (function(x), monitor.growth)
+        monitor, no = ContractionMonitor.start(lax.stop_gradient(length(x))), jnp.zeros((), bool)
+        far = jax.tree.map(lambda x: jnp.full_like(x, jnp.finfo(x.dtype).max), lax.stop_gradient(x))
+        start = (x, monitor, jnp.zeros((), jnp.int32), far, jax.tree.map(jnp.isnan, far), no)
+        x, monitor, _, _, known, _ = lax.while_loop(lambda c: (c[2] < iterations) & ~c[-1], use_matrix, start)
+        return x, (function(x), jnp.where(_every(known), monitor.growth, jnp.inf))
 
     traced_once = jax.jit(residual)  # its equations are many, and used five times
     x, (F, growth) = implicit_root(traced_once, guess, solve, _tangent_solve_by_elimination)

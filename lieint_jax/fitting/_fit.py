@@ -165,8 +165,7 @@ def fit(
             guess is not inside its bounds, or the loss is not a scalar where the optimizer needs one.
     """
     iterations = _checks.count("iterations", iterations, 0)
-    if not 0 <= tolerance < np.inf:
-        raise ValueError(f"tolerance must be a finite number of at least 0, got {tolerance}")
+    tolerance = _checks.tolerance("tolerance", tolerance)
     y, tree = _vector(bounds, params, data, starts)
     problem = _Problem(loss, _flat(bounds), _flat(tree), optimizer, tolerance, target)
     if optimizer == "scipy" and starts:

@@ -114,6 +114,7 @@ class Additive(Step):
     iterations: Converted[int] = static(converter=named(count, "iterations", 1), default=25)
     order: float = static(init=False)
     symmetric: bool = static(init=False)
+    loops = True
 
     def check_fields(self) -> dict[str, float]:
         system, rule = self.system, self.rule

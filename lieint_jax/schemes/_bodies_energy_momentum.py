@@ -113,6 +113,7 @@ class BodiesEnergyMomentum(Step):
     solver: str | None = static(default=None)
     order: float = static(default=2, init=False)
     symmetric: bool = static(default=True, init=False)
+    loops = True
 
     def check_fields(self) -> dict[str, str]:
         _check_invariants(self.system)

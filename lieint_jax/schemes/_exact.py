@@ -27,6 +27,7 @@ class Exact(Step):
     order: float = static(default=math.inf)
     symmetric: bool = static(default=True)
     commuting = True
+    loops = True
 
     def advance(self, state: State, dt: ArrayLike) -> tuple[State, StepInfo]:
         J = self.system.inertia

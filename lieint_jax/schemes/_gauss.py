@@ -97,6 +97,7 @@ class Gauss(Step):
     sweeps: Converted[int | None] = static(converter=named(count, "sweeps", 1, optional=True), default=None)
     order: float = static(init=False)
     symmetric: bool = static(default=True, init=False)
+    loops = True
 
     def check_fields(self) -> dict[str, float]:
         if canonical_chart(self.system) is None:

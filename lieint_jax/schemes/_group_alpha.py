@@ -80,6 +80,7 @@ class GroupAlpha(Step):
     iterations: Converted[int] = static(converter=named(count, "iterations", 1), default=8)
     order: float = static(init=False)
     symmetric: bool = static(init=False)
+    loops = True
 
     def check_fields(self) -> dict[str, object]:
         tau = as_tau(self.tau, self.system.group)

@@ -75,6 +75,7 @@ class GroupEnergyMomentum(Step):
     iterations: Converted[int] = static(converter=named(count, "iterations", 1), default=6)
     order: float = static(default=2, init=False)
     symmetric: bool = static(default=True, init=False)
+    loops = True
 
     def check_fields(self) -> dict[str, Tau]:
         return {"tau": as_tau(exponential, self.system.group)}

@@ -51,6 +51,7 @@ class KeplerSplitting(Step):
     method: Order = static()  # a key of `METHODS`
     order: float = static()
     symmetric: bool = static(default=True)
+    loops = True
 
     @property
     def name(self) -> str:
@@ -122,6 +123,7 @@ def kepler_splitting(
     Source: Wisdom & Holman 1991, Astron. J. 102; McLachlan 1995, BIT 35 (8, 4); Blanes, Casas, Farrés, Laskar, Makazaga
     & Murua 2013, Appl. Numer. Math. 68 (8, 6, 4); increments as in Rein & Tamayo 2015, Mon. Not. R. Astron. Soc. 452.
     """
+    order = _checks.plain("order", order)
     method = tuple(order) if isinstance(order, list | tuple) else order
     if method not in METHODS:
         raise ValueError(f"order must be {', '.join(map(str, METHODS))}, got {order!r}")

@@ -34,6 +34,7 @@ class SphereChart(Step):
     iterations: int = static()
     order: float = static(default=2)
     symmetric: bool = static(default=True)
+    loops = True
 
     def advance(self, state: State, dt: ArrayLike) -> tuple[State, StepInfo]:
         dt, m = jnp.asarray(dt), self.system.mass

@@ -47,6 +47,7 @@ class TorquedMidpoint(Step):
     iterations: int = static()
     order: float = static(default=2)
     symmetric: bool = static(default=True)
+    loops = True
 
     @property
     def name(self) -> str:

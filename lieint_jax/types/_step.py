@@ -12,7 +12,7 @@ import numpy as np
 from jax import Array
 from jax.typing import ArrayLike
 
-from lieint_jax._checks import at_once, concrete, dtype_of, name_of, real_array, snake_case, step_size
+from lieint_jax._checks import at_once, concrete, dtype_of, name_of, outermost, real_array, snake_case, step_size
 from lieint_jax._xla import compiled, differ, materialized_arrays, with_materialized_derivatives
 from lieint_jax.native import scan
 from lieint_jax.types._group import PhaseSpace, SpaceWithTangents
@@ -47,6 +47,8 @@ class Step:
         reuses: whether the end of a step computes what the next one begins with, so that a run computes it once.
         approximate: whether fewer iterations are set than convergence requires: a run reports the residual and
             continues.
+        loops: whether a step iterates until it is done. Outside of jit JAX would compile such a loop again at each
+            call, which makes its functions; so there `advance` is one program.
         commuting: whether steps of different sizes commute, so that compositions need fewer stages (`schemes.compose`).
         velocity_weight: α of the momentum at n+α from which the step computes Θ, for `diagnostics.conditions`.
     """
@@ -57,6 +59,7 @@ class Step:
     own_time: bool = False
     reuses: bool = False
     approximate: bool = False
+    loops: bool = False
     commuting: bool = False
     velocity_weight: ArrayLike = 0.5
 
@@ -85,7 +88,7 @@ class Step:
         """A call within a larger step, without the check that the new state is finite: the larger step has it."""
         step, state, dt = _in_one_type(self, state, dt)
         _check_time(step, state)
-        end, info = step.advance(state, dt)
+        end, info = (_advanced if self.loops and outermost() else _advance)(step, state, dt)
         return _completed(step, state, dt, end), info
 
     @final
@@ -346,6 +349,13 @@ def start_time(step: Step, state: State) -> Time | None:
 
 def _is_real(leaf: ArrayLike) -> bool:
     return jnp.issubdtype(type(leaf) if (dtype := dtype_of(leaf)) is None else dtype, jnp.floating)
+
+
+def _advance(step: Step, state: State, dt: Array) -> tuple[State, StepInfo]:
+    return step.advance(state, dt)
+
+
+_advanced = compiled(_advance)
 
 
 @partial(compiled, once=True)

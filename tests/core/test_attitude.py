@@ -135,6 +135,20 @@ def test_leading_axes_and_transformations():
         assert there(form[:, :0]).shape == (2, 0, 4), name
 
 
+def test_what_is_no_rotation_is_nan_inside_jit():
+    q, R = np.array([0.5, 0.5, -0.5, 0.5]), np.array([[0.0, -1, 0], [0, 0, -1], [1, 0, 0]])
+    rows = np.stack([R, 1.01 * R, -R, 1e200 * R, np.zeros((3, 3)), R * [1, 1, -1], R + 1e-5 * np.eye(3)])
+    found = np.asarray(jax.jit(attitude.from_matrix)(rows))
+    np.testing.assert_allclose(found[0], q, rtol=0, atol=FLOOR)
+    assert np.isnan(found[1:]).all()
+    found = jax.jit(attitude.from_matrix)(jnp.asarray(np.clip(rows, -1e38, 1e38), jnp.float32))
+    assert np.isfinite(found[0]).all()
+    assert np.isnan(found[1:]).all()
+    turned = np.asarray(jax.jit(attitude.from_rotvec)(np.array([[2 * np.pi / 3, 0, 0], [5e12, 0, 0], [1e200, 0, 0]])))
+    np.testing.assert_allclose(turned[0], [0.5, np.sqrt(0.75), 0, 0], rtol=0, atol=FLOOR)
+    assert np.isnan(turned[1:]).all()
+
+
 def test_printed_quaternions_are_normalized_with_a_warning():
     rows = np.array([[0.5, 0.5, 0.5, 0.5], [0.73674, 0.57997, 0.13156, 0.32176]])
     with pytest.warns(RuntimeWarning, match=r"q\[1\] has the norm 0\.9999.*few digits have: normalized") as found:

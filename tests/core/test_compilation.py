@@ -75,6 +75,19 @@ def test_a_step_made_again_with_other_numbers_compiles_nothing(caplog, call):
     assert not programs(caplog, lambda: call(*a_step(0.04)))
 
 
+def assert_a_second_call_compiles_nothing(caplog, step, state, dt):
+    end, _ = step(state, dt)
+    assert not programs(caplog, lambda: step(end, dt))
+
+
+def test_a_step_that_iterates_compiles_nothing_at_a_second_call_outside_of_jit(caplog):
+    """A loop is a program of its own there, of functions that are made in the call."""
+    body = li.systems.torqued_body([1.0, 2.0, 2.5], li.torques.viscous([0.1, 0.1, 0.1]))
+    step = li.schemes.torqued_midpoint(body)
+    assert step.loops
+    assert_a_second_call_compiles_nothing(caplog, step, body.state(angular_velocity=[0.2, 0.1, 1.0]), 0.1)
+
+
 FIRST = """
 import jax
 jax.config.update("jax_enable_x64", True)

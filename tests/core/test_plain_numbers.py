@@ -36,7 +36,6 @@ NUMBERS = re.compile(
 MODULES = (attitude, diagnostics, elliptic, fitting, groups, measure, *calls.ROOMS, schemes, shapes, systems, tides)
 TOP_LEVEL = ("integrate", "event", "interpolate", "run", "transition")
 CALLED = {"locked": "inertia", "window": "start", "states": "state"}  # in errors, by another name
-OPTIONS = {"order", "tolerance"}  # numbers that choose among methods, or bound an error
 NO_NUMBERS = {  # whose numbers are options, or those of functions and states
     "elliptic.E",
     "elliptic.Pi",
@@ -321,7 +320,7 @@ def wanted(function):
     return {
         name
         for name, x in inspect.signature(function).parameters.items()
-        if NUMBERS.search(str(x.annotation)) and "Callable" not in str(x.annotation) and name not in OPTIONS
+        if NUMBERS.search(str(x.annotation)) and "Callable" not in str(x.annotation)
     }
 
 
@@ -354,7 +353,7 @@ def call(name):
 def test_masks_and_units_are_refused_by_the_name_of_the_argument(name):
     function, arguments = call(name)
     for argument in arguments:
-        if not is_numbers(arguments[argument]) or argument in OPTIONS:
+        if not is_numbers(arguments[argument]):
             continue
         for kind, (spoil, message) in KINDS.items():
             bad = arguments | {argument: spoiled(arguments[argument], spoil)}

@@ -110,6 +110,49 @@ def hut(r, v, omega, A, m, tau):
 
 
 @pytest.mark.quick
+@pytest.mark.quick
+def test_the_constant_lag_is_a_bulge_that_is_where_the_other_body_stood():
+    """Force and torque by quadrature over a deformed body, whose surface mass follows the other body with the lag.
+
+    The potential of degree 2 that a body at s raises on the surface, U = −Gm R²/|s|³ P₂(cos ψ), lifts a layer of the
+    density −(5/(4πGR)) k₂U over the sphere, whose field outside is k₂(R/r)⁵ times that of U. The pull of its points on
+    the other body, at r, is summed over Gauss's nodes of the sphere, with s where the other body stood before the lag
+    in the axes of the body: s = r − (v − ω × r)Δt. To first order in Δt it is the law and its potential.
+    """
+    rng = np.random.default_rng(4)
+    nodes, weights = np.polynomial.legendre.leggauss(40)
+    phi = np.linspace(0, 2 * np.pi, 80, endpoint=False)
+    across = np.sqrt(1 - nodes**2)[:, None]
+    sphere = np.stack([across * np.cos(phi), across * np.sin(phi), nodes[:, None] + 0 * phi], axis=-1).reshape(-1, 3)
+    area = np.repeat(weights, len(phi)) * 2 * np.pi / len(phi)
+    for k in range(2):
+        r, v, omega = np.array([2.0, 0, 0]) + rng.normal(size=3), rng.normal(size=3), rng.normal(size=3)
+        R, m, k2 = RADII[k], MASSES[1 - k], K2[k]
+
+        def pull(lag, r=r, v=v, omega=omega, R=R, m=m, k2=k2):
+            """The force on the other body, of mass m, at r."""
+            s = r - lag * (v - np.cross(omega, r))
+            cosine = sphere @ s / np.linalg.norm(s)
+            layer = 5 / (4 * np.pi * R) * k2 * m * R**2 / np.linalg.norm(s) ** 3 * (3 * cosine**2 - 1) / 2
+            apart = R * sphere - r
+            shares = layer * area * R**2 / np.linalg.norm(apart, axis=1) ** 3
+            return G * m * shares @ apart
+
+        h, lags = 1e-3, np.where(np.arange(2) == k, 0.3, 0.0)
+        slope = (8 * (pull(h) - pull(-h)) - (pull(2 * h) - pull(-2 * h))) / (12 * h)
+        law = tides.constant_lag(G, MASSES, RADII, np.where(np.arange(2) == k, K2, 0.0), lags)
+        spins = [omega, np.zeros(3)] if k == 0 else [np.zeros(3), omega]
+        sign = 1 if k == 0 else -1  # the second body is at r from the first, and moves by v
+        force, *torques = law(*(jnp.asarray(x) for x in (sign * r, sign * v, *spins)))
+        lagging = 0.3 * slope
+        exact = 1e-8 * np.linalg.norm(lagging)  # 1e-9, of the difference
+        np.testing.assert_allclose(sign * force, lagging, rtol=0, atol=exact)
+        np.testing.assert_allclose(torques[k], -np.cross(r, lagging), rtol=0, atol=exact * np.linalg.norm(r))
+        x = jnp.array([[0.0, 0, 0], r])
+        still = -jax.grad(lambda x, law=law: law.potential.value(law.potential.invariants(x, None)))(x)[1]
+        np.testing.assert_allclose(still, pull(0.0), rtol=1e-12)
+
+
 def test_lags_of_other_conventions_are_as_documented():
     """Hut's τ is the lag, σ is 2GΔt/(3k₂R⁵), and the tau of REBOUNDx's tides_spin, which sets σ = 4Gτ/(3k₂R⁵), half."""
     rng, tau = np.random.default_rng(3), 0.07

@@ -59,6 +59,10 @@ class ReversibleAdjoint:
 
     tolerance: float | None = None
 
+    def __post_init__(self) -> None:
+        if self.tolerance is not None:
+            object.__setattr__(self, "tolerance", _checks.tolerance("tolerance", self.tolerance))
+
 
 @dataclasses.dataclass(frozen=True)
 class RecursiveCheckpointAdjoint:
@@ -130,7 +134,7 @@ def undoable(step: Step, state: State, dt: Array, counts: ArrayLike, tolerance: 
 
     They are differentiated by undoing steps, also with respect to arrays that the step closes over.
     """
-    tolerance = math.sqrt(jnp.finfo(state.p.dtype).eps) if tolerance is None else float(tolerance)
+    tolerance = math.sqrt(jnp.finfo(state.p.dtype).eps) if tolerance is None else tolerance
     clock, ready, space = uniform_clock(step, state, dt), step.prepare(state, dt), step.system.phase_space
     whole = stage = native.hoisted(lambda z, h: ready(z, h), state, dt)
     gammas = (1.0,)

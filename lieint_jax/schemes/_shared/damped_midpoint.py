@@ -33,6 +33,7 @@ class DampedMidpoint(Step):
     iterations: int = static()
     order: float = static(default=2)
     symmetric: bool = static(default=True)
+    loops = True
 
     @property
     def name(self) -> str:

@@ -86,7 +86,8 @@ class Equation(NamedTuple):
             K = metric - ad_star_matrix(self.group, metric @ theta - known - F) @ self.slope(theta)
             return la.factored(K if bend is None else K - bend(theta))
 
-        theta, F, good = newton.chords(residual, factored, size, lambda step: size(m @ step), guess, iterations)
+        units = as_vector(m, self._units)
+        theta, F, good = newton.chords(residual, factored, size, lambda step: size(m @ step), units, guess, iterations)
         good = good & self._digits_left()
         Theta = la.as_array(theta, self.state.p)
         good = good & self.tau.holds(self.group, Theta) if self.tau.holds else good
@@ -121,6 +122,11 @@ class Equation(NamedTuple):
         D2 = jax.jacfwd(lambda x: system.body_force(where + group.tangent(where, x)))(zero)
         return as_vector(self.m, lax.stop_gradient(factor * D2))
 
+    @property
+    def _units(self) -> Array:
+        """√mᵢᵢ, (d,): times Θᵢ they do not depend on the units of the basis."""
+        return lax.stop_gradient(jnp.sqrt(jnp.stack([self.m[i][i] for i in range(len(self.m))])))
+
     def _size(self, a: la.Vector) -> Callable[[la.Vector], Array]:
         """F ↦ the largest |Fᵢ|/√mᵢᵢ over √(2H)Δt, which does not depend on the units of the basis."""
         a, m = lax.stop_gradient((a, self.m))
@@ -136,11 +142,11 @@ class Equation(NamedTuple):
 
     def _digits_left(self) -> Array:
         """Whether Ad*_q π has six digits left in float64: ε (size of summands / of sum)² ≤ ε^{3/8}; and likewise q."""
-        group, m = self.group, self.m
+        group = self.group
         if not isinstance(group, AnalyticGroup):
             return jnp.ones((), bool)
         state, carried, half = lax.stop_gradient((self.state, self.carried, self.half))
-        unit = jnp.sqrt(jnp.stack([m[i][i] for i in range(len(m))]))
+        unit = self._units
         summed = jnp.max(jnp.abs(half) * group.rounding(state.q, state.p) / unit)
         left = jnp.max(jnp.abs(la.as_array(carried, state.p)) / unit)
         eps = float(jnp.finfo(left.dtype).eps)
