@@ -83,7 +83,7 @@ def ours(step: Any, states: Any, dt: float, num_steps: int, devices: int = 1) ->
     """A function that calls the ensemble's compiled loop once, in so many threads."""
     import jax
 
-    from lieint_jax.runs._job.engine import engine_of
+    from lieint_jax.runs._engine import engine_of
     from lieint_jax.runs._plan import make_plan
 
     plan = make_plan(step, states, dt, num_steps, save_every=None, threads=devices)

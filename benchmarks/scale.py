@@ -57,7 +57,7 @@ def on_paper(rate: float) -> dict[str, Any]:
     from lib import measure  # float64
 
     import lieint_jax as li
-    from lieint_jax.runs._job import made_states as _made_states
+    from lieint_jax.runs import _made_states
     from lieint_jax.runs._plan import make_plan
 
     del measure

@@ -55,7 +55,7 @@ class Clocks:
     """The seconds within some functions of the package, in whichever thread: the loop's, and those of a commit."""
 
     def __init__(self) -> None:
-        from lieint_jax.runs._job.engine import Engine
+        from lieint_jax.runs._engine import Engine
         from lieint_jax.runs._storage.arrays import ArrayMetadata
         from lieint_jax.runs._storage.disk import Disk
         from lieint_jax.runs.store._store_output import StoreOutput

@@ -19,7 +19,7 @@ import numpy as np
 
 import lieint_jax as li
 from lieint_jax.runs import store as archives
-from lieint_jax.runs._job.engine import Engine
+from lieint_jax.runs._engine import Engine
 from lieint_jax.runs._plan import Plan, make_plan
 from lieint_jax.runs._storage.bucket import Bucket
 from lieint_jax.runs._storage.storage import ROOT, Url, address

@@ -5,18 +5,8 @@ disk.
 """
 
 from lieint_jax.runs import store
-from lieint_jax.runs._host.error import RunError, estimate
-from lieint_jax.runs._host.make_run import open_run, run
-from lieint_jax.runs._host.memory import peak_memory
-from lieint_jax.runs._host.run import Run
-from lieint_jax.runs._host.submit import Executor, LostWorkerError, PermanentError, submit
-from lieint_jax.runs._job.devices import count_cores, first_devices, want_devices
-from lieint_jax.runs._job.loop import Reduction, compiler_options
-from lieint_jax.runs._job.made_states import MakeStates
-from lieint_jax.runs._job.over_members import over_members
-from lieint_jax.runs._job.part_of_task import part_of_task
-from lieint_jax.runs._march.adjoints import RecursiveCheckpointAdjoint, ReversibleAdjoint
-from lieint_jax.runs._march.clock import (
+from lieint_jax.runs._adjoints import RecursiveCheckpointAdjoint, ReversibleAdjoint
+from lieint_jax.runs._clock import (
     UniformClock,
     at_time,
     clock_of,
@@ -25,24 +15,34 @@ from lieint_jax.runs._march.clock import (
     saves,
     uniform_clock,
 )
-from lieint_jax.runs._march.driver import (
+from lieint_jax.runs._devices import count_cores, first_devices, want_devices
+from lieint_jax.runs._driver import (
     counted,
     prepared,
     reported,
     step_at_node,
     steps,
 )
-from lieint_jax.runs._march.event import Event, event, events
-from lieint_jax.runs._march.integrate import (
+from lieint_jax.runs._error import RunError, estimate
+from lieint_jax.runs._events import Event, event, events
+from lieint_jax.runs._integrate import (
     integrate,
     of_any_length,
     rows_for,
     trajectory,
 )
-from lieint_jax.runs._march.interpolate import interpolate
-from lieint_jax.runs._march.transition import Ellipse, Transition, transition
+from lieint_jax.runs._interpolate import interpolate
+from lieint_jax.runs._loop import Reduction, compiler_options
+from lieint_jax.runs._made_states import MakeStates
+from lieint_jax.runs._make_run import open_run, run
+from lieint_jax.runs._memory import peak_memory
+from lieint_jax.runs._over_members import over_members
+from lieint_jax.runs._part_of_task import part_of_task
+from lieint_jax.runs._run import Run
 from lieint_jax.runs._storage.storage import StoreOptions
+from lieint_jax.runs._submit import Executor, LostWorkerError, PermanentError, submit
 from lieint_jax.runs._summary import Summary
+from lieint_jax.runs._transition import Ellipse, Transition, transition
 
 __all__ = [
     "Ellipse",

@@ -20,14 +20,14 @@ from lieint_jax import _checks
 from lieint_jax._xla import reads, rereading_jit
 from lieint_jax.dates import DateLike, text_of
 from lieint_jax.native import make_once
-from lieint_jax.runs._job import devices
-from lieint_jax.runs._job.devices import Numbers
-from lieint_jax.runs._job.loop import Change, Reduction, energy
-from lieint_jax.runs._job.made_states import MadeStates, MakeStates, made_states
-from lieint_jax.runs._job.part_of_task import checked_part, part_of_task
-from lieint_jax.runs._job.split import Split
-from lieint_jax.runs._march.arguments import check_inertias
-from lieint_jax.runs._march.clock import Clock, GridClock, UniformClock, clock_of, intervals, outputs, refuse_times
+from lieint_jax.runs import _devices as devices
+from lieint_jax.runs._arguments import check_inertias
+from lieint_jax.runs._clock import Clock, GridClock, UniformClock, clock_of, intervals, outputs, refuse_times
+from lieint_jax.runs._devices import Numbers
+from lieint_jax.runs._loop import Change, Reduction, energy
+from lieint_jax.runs._made_states import MadeStates, MakeStates, made_states
+from lieint_jax.runs._part_of_task import checked_part, part_of_task
+from lieint_jax.runs._split import Split
 from lieint_jax.runs._storage.leaves import shared_time
 from lieint_jax.runs._storage.storage import StoreOptions, Url, address
 from lieint_jax.runs._summary import SERIES, with_member_axis

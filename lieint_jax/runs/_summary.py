@@ -7,8 +7,8 @@ from typing import Any, NamedTuple
 import jax
 import numpy as np
 
-from lieint_jax.runs._job.devices import Tree
-from lieint_jax.runs._job.loop import Change
+from lieint_jax.runs._devices import Tree
+from lieint_jax.runs._loop import Change
 from lieint_jax.runs._storage.leaves import Saves
 from lieint_jax.types import State, Trajectory
 

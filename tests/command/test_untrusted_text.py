@@ -121,5 +121,5 @@ def test_the_library_and_the_command_print_in_one_place():
             if isinstance(node, ast.Name) and node.id == "print":
                 prints.add(str(path.relative_to(root)))
     others = {name for name in prints if not name.startswith("examples/")}
-    constant = {"command/entry.py", "runs/_host/execute.py"}  # what these print
+    constant = {"command/entry.py", "runs/_execute.py"}  # what these print
     assert others == {"command/printer.py", *constant}

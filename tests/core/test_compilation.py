@@ -21,7 +21,7 @@ import lieint_jax as li
 from lieint_jax._cache import use_program_cache
 from lieint_jax._xla import _compile, _reads
 from lieint_jax.native import _machine, _traced
-from lieint_jax.runs._job import loop as _loop
+from lieint_jax.runs import _loop
 
 NAMES = (
     "jax_compilation_cache_dir",

@@ -17,8 +17,8 @@ import lieint_jax as li
 from lieint_jax import _cache, _checks
 from lieint_jax.command import cli
 from lieint_jax.examples import heavy_top
+from lieint_jax.runs import _devices
 from lieint_jax.runs import store as archives
-from lieint_jax.runs._job import devices as _devices
 from lieint_jax.runs.store import _identity
 from lieint_jax.types import State, StepInfo
 

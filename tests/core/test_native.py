@@ -24,7 +24,7 @@ from lieint_jax.native import _machine, _pieces
 from lieint_jax.native._primitives.abstract_walk import UnsupportedError
 from lieint_jax.native._primitives.control_flow import CONTROL_FLOW
 from lieint_jax.native._primitives.elementwise import ELEMENTWISE
-from lieint_jax.runs._job import engine as _engine
+from lieint_jax.runs import _engine
 
 pytestmark = pytest.mark.long
 

@@ -30,8 +30,8 @@ from stores import Crash, assert_same
 
 import lieint_jax as li
 from lieint_jax.command import cli
+from lieint_jax.runs import _dyadic_sum
 from lieint_jax.runs import store as archives
-from lieint_jax.runs._job import dyadic_sum as _dyadic_sum
 from lieint_jax.runs._storage import bucket as _bucket
 from lieint_jax.runs._storage import disk as _disk
 from lieint_jax.runs.store import _root

@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 import lieint_jax as li
-from lieint_jax.runs._job.digests import NotComparableError, OfMember, digest_of_programs
+from lieint_jax.runs._digests import NotComparableError, OfMember, digest_of_programs
 
 
 def digest(law):

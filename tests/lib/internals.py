@@ -15,14 +15,8 @@ import lieint_jax as li
 from lieint_jax import _checks
 from lieint_jax._xla import compiled
 from lieint_jax.native import _kernel, _machine, _march_code, _traced
-from lieint_jax.runs import _plan
-from lieint_jax.runs._host import execute as _execute
-from lieint_jax.runs._host import run as _run
-from lieint_jax.runs._job import devices as _devices
-from lieint_jax.runs._job import engine as _engine
-from lieint_jax.runs._job import facts as _facts
-from lieint_jax.runs._job import made_states as _made_states
-from lieint_jax.runs._job.split import Split
+from lieint_jax.runs import _devices, _engine, _execute, _facts, _made_states, _plan, _run
+from lieint_jax.runs._split import Split
 from lieint_jax.runs._storage import bucket as _bucket
 from lieint_jax.runs._storage import disk as _disk
 from lieint_jax.runs.store import _identity, _root, _store_output, _writer

@@ -23,7 +23,6 @@ from lieint_jax.dates import epoch
 from lieint_jax.runs._storage.arrays import ArrayMetadata
 from lieint_jax.runs._storage.leaves import store_name
 from lieint_jax.runs._storage.untrusted import NAME
-from lieint_jax.runs._summary import SERIES
 
 _MAX_LENGTH, _MAX_PARTS = 10**15, 10**6
 _REALS, _COUNTS, _FLAGS = ("float32", "float64"), ("int32", "int64"), ("bool",)

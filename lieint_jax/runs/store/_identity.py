@@ -12,11 +12,11 @@ from pathlib import Path
 
 import jax
 
-from lieint_jax.runs._job.digests import digest_of_arrays, reason_of
-from lieint_jax.runs._job.engine import Engine
-from lieint_jax.runs._job.facts import package_versions
-from lieint_jax.runs._job.loop import compiler_options
-from lieint_jax.runs._march.clock import GridClock
+from lieint_jax.runs._clock import GridClock
+from lieint_jax.runs._digests import digest_of_arrays, reason_of
+from lieint_jax.runs._engine import Engine
+from lieint_jax.runs._facts import package_versions
+from lieint_jax.runs._loop import compiler_options
 from lieint_jax.runs._plan import Plan
 from lieint_jax.runs._storage.leaves import Table
 from lieint_jax.runs._storage.storage import Address

@@ -6,10 +6,10 @@ import contextlib
 from collections.abc import Callable
 from functools import partial
 
-from lieint_jax.runs._job.digests import digest_of_states
-from lieint_jax.runs._job.engine import Engine
-from lieint_jax.runs._job.split import Split
+from lieint_jax.runs._digests import digest_of_states
+from lieint_jax.runs._engine import Engine
 from lieint_jax.runs._plan import Plan
+from lieint_jax.runs._split import Split
 from lieint_jax.runs._storage.files import open_storage
 from lieint_jax.runs._storage.leaves import Saves, Table
 from lieint_jax.runs._storage.storage import ROOT, Storage, check_json, checked_path

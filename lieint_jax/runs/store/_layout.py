@@ -8,10 +8,10 @@ from collections.abc import Mapping
 import numpy as np
 from numpy.typing import DTypeLike
 
-from lieint_jax.runs._job.devices import Numbers
-from lieint_jax.runs._job.dyadic_sum import blocks
-from lieint_jax.runs._job.split import Split
+from lieint_jax.runs._devices import Numbers
+from lieint_jax.runs._dyadic_sum import blocks
 from lieint_jax.runs._plan import Plan
+from lieint_jax.runs._split import Split
 from lieint_jax.runs._storage.arrays import ArrayMetadata, chunk_file, digest_of, tail
 from lieint_jax.runs._storage.leaves import Table, store_name
 from lieint_jax.runs._storage.storage import ROOT, StoreOptions

@@ -11,7 +11,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from lieint_jax.runs._job.loop import Change
+from lieint_jax.runs._loop import Change
 from lieint_jax.runs._storage.arrays import StoredArray, first_of
 from lieint_jax.runs._storage.files import open_storage
 from lieint_jax.runs._storage.leaves import Saves, Table, states_in

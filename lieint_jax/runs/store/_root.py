@@ -25,7 +25,7 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from lieint_jax.runs._job.split import Split
+from lieint_jax.runs._split import Split
 from lieint_jax.runs._storage.arrays import (
     ArrayMetadata,
     damage_of_chunks,

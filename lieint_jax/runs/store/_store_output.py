@@ -9,9 +9,9 @@ from typing import Any
 import jax
 import numpy as np
 
-from lieint_jax.runs._job import devices
-from lieint_jax.runs._job.devices import Numbers, Tree
-from lieint_jax.runs._job.loop import Carry, Change
+from lieint_jax.runs import _devices as devices
+from lieint_jax.runs._devices import Numbers, Tree
+from lieint_jax.runs._loop import Carry, Change
 from lieint_jax.runs._plan import Plan
 from lieint_jax.runs._storage.leaves import Table, store_name
 from lieint_jax.runs._summary import Series

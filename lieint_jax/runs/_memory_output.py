@@ -7,10 +7,11 @@ from typing import Any
 import jax
 import numpy as np
 
-from lieint_jax.runs._job import devices, loop
-from lieint_jax.runs._job.devices import Tree
-from lieint_jax.runs._job.dyadic_sum import block_sums, blocks, total
-from lieint_jax.runs._job.loop import Carry
+from lieint_jax.runs import _devices as devices
+from lieint_jax.runs import _loop as loop
+from lieint_jax.runs._devices import Tree
+from lieint_jax.runs._dyadic_sum import block_sums, blocks, total
+from lieint_jax.runs._loop import Carry
 from lieint_jax.runs._plan import Plan
 from lieint_jax.runs._storage.leaves import Saves
 from lieint_jax.runs._summary import MemberSummary, Series, Summary

@@ -19,8 +19,8 @@ from lieint_jax import _checks
 from lieint_jax._checks import concrete, stands_alone
 from lieint_jax._numerics.sign_change import is_root, sign_change
 from lieint_jax._xla import compiled
-from lieint_jax.runs._march.clock import MOST_COUNTED, Clock, at_time, clock_of, halved, splits
-from lieint_jax.runs._march.driver import Reached, at_start, counted, prepared, reported, scanned
+from lieint_jax.runs._clock import MOST_COUNTED, Clock, at_time, clock_of, halved, splits
+from lieint_jax.runs._driver import Reached, at_start, counted, prepared, reported, scanned
 from lieint_jax.types import State, Step, callable_pytree, checked_step, promoted, start_time
 from lieint_jax.types import clock as time_of
 from lieint_jax.types.record import record

@@ -18,12 +18,13 @@ import numpy as np
 from lieint_jax import native
 from lieint_jax._xla import reads
 from lieint_jax.native import UnsupportedError, computed_by, unsupported_if_it_fails, warn_once
-from lieint_jax.runs._job import devices, loop
-from lieint_jax.runs._job.devices import Numbers, Tree
-from lieint_jax.runs._job.digests import OfMember, digest_or_reason
-from lieint_jax.runs._job.loop import Axes, Carry, Given, MemberLoop, Reduction, Span
-from lieint_jax.runs._march.clock import Clock, GridClock, UniformClock, power_of_two
-from lieint_jax.runs._march.driver import prepared
+from lieint_jax.runs import _devices as devices
+from lieint_jax.runs import _loop as loop
+from lieint_jax.runs._clock import Clock, GridClock, UniformClock, power_of_two
+from lieint_jax.runs._devices import Numbers, Tree
+from lieint_jax.runs._digests import OfMember, digest_or_reason
+from lieint_jax.runs._driver import prepared
+from lieint_jax.runs._loop import Axes, Carry, Given, MemberLoop, Reduction, Span
 from lieint_jax.runs._plan import Plan
 from lieint_jax.types import State, Step
 

@@ -10,8 +10,8 @@ from functools import partial
 import jax
 import numpy as np
 
-from lieint_jax.runs._job.engine import Engine
-from lieint_jax.runs._job.memory_output import rows_and_carry
+from lieint_jax.runs._engine import Engine
+from lieint_jax.runs._memory_output import rows_and_carry
 from lieint_jax.runs._plan import Plan
 from lieint_jax.runs._storage.leaves import Saves
 from lieint_jax.runs._storage.storage import Url, checked_path

@@ -16,12 +16,12 @@ from typing import Self
 import numpy as np
 
 from lieint_jax import _checks
-from lieint_jax.runs._job import devices
-from lieint_jax.runs._job.devices import Numbers
-from lieint_jax.runs._job.engine import Engine, engine_of
-from lieint_jax.runs._job.loop import Given, energy
-from lieint_jax.runs._job.memory_output import MemoryOutput, first_rows, reduce_rows
-from lieint_jax.runs._march.clock import GridClock, more_times
+from lieint_jax.runs import _devices as devices
+from lieint_jax.runs._clock import GridClock, more_times
+from lieint_jax.runs._devices import Numbers
+from lieint_jax.runs._engine import Engine, engine_of
+from lieint_jax.runs._loop import Given, energy
+from lieint_jax.runs._memory_output import MemoryOutput, first_rows, reduce_rows
 from lieint_jax.runs._plan import MAX_NAMED, Plan, list_members
 from lieint_jax.runs._storage.leaves import Saves
 from lieint_jax.runs.store._into_store import run_into_store

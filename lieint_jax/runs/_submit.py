@@ -15,11 +15,11 @@ import jax
 import numpy as np
 
 from lieint_jax._checks import count
-from lieint_jax.runs._host.execute import Bar, warn_of_failures
-from lieint_jax.runs._host.make_run import RunOptions, run, untransformed
-from lieint_jax.runs._host.run import Run, stored_run
-from lieint_jax.runs._job.loop import Reduction
-from lieint_jax.runs._job.made_states import MakeStates
+from lieint_jax.runs._execute import Bar, warn_of_failures
+from lieint_jax.runs._loop import Reduction
+from lieint_jax.runs._made_states import MakeStates
+from lieint_jax.runs._make_run import RunOptions, run, untransformed
+from lieint_jax.runs._run import Run, stored_run
 from lieint_jax.runs._storage.storage import StoreOptions, address
 from lieint_jax.runs._summary import MemberSummary, Summary
 from lieint_jax.runs.store._reading import read_run

@@ -12,8 +12,8 @@ from jax.sharding import Mesh, PartitionSpec
 from jax.typing import ArrayLike
 
 from lieint_jax._xla import rereading_jit
-from lieint_jax.runs._job.devices import AXIS, Tree, checked_mesh
-from lieint_jax.runs._job.loop import Axes, axes_of_leaves
+from lieint_jax.runs._devices import AXIS, Tree, checked_mesh
+from lieint_jax.runs._loop import Axes, axes_of_leaves
 
 
 def over_members(function: Callable[..., Tree], in_axes: Axes = 0, mesh: Mesh | None = None) -> Callable[..., Tree]:

@@ -23,8 +23,8 @@ from jax.typing import ArrayLike
 from lieint_jax import _checks, native
 from lieint_jax._checks import concrete
 from lieint_jax._xla import compiled
-from lieint_jax.runs._march.clock import at_time, intervals, uniform_clock
-from lieint_jax.runs._march.driver import info_since, join_start
+from lieint_jax.runs._clock import at_time, intervals, uniform_clock
+from lieint_jax.runs._driver import info_since, join_start
 from lieint_jax.types import (
     PhaseSpace,
     State,

@@ -18,15 +18,15 @@ from numpy.typing import ArrayLike
 
 from lieint_jax import _checks, attitude, dates
 from lieint_jax._free_body import Periods
-from lieint_jax.runs._host import questions
-from lieint_jax.runs._host.error import RunError, estimate
-from lieint_jax.runs._host.execute import compute
-from lieint_jax.runs._host.save import write
-from lieint_jax.runs._job.facts import Facts, compile_map, dates_of, defect, from_start, lines, momentum, periods, plain
-from lieint_jax.runs._job.loop import energy
-from lieint_jax.runs._march.clock import GridClock
-from lieint_jax.runs._march.interpolate import interpolate, interpolate_members
+from lieint_jax.runs import _questions as questions
+from lieint_jax.runs._clock import GridClock
+from lieint_jax.runs._error import RunError, estimate
+from lieint_jax.runs._execute import compute
+from lieint_jax.runs._facts import Facts, compile_map, dates_of, defect, from_start, lines, momentum, periods, plain
+from lieint_jax.runs._interpolate import interpolate, interpolate_members
+from lieint_jax.runs._loop import energy
 from lieint_jax.runs._plan import Plan, is_batch, make_plan
+from lieint_jax.runs._save import write
 from lieint_jax.runs._storage.leaves import Saves
 from lieint_jax.runs._storage.storage import StoreOptions, address
 from lieint_jax.runs._summary import MemberSummary, Summary, member_of, saves_of_batch

@@ -8,9 +8,9 @@ from typing import Any
 import jax
 import numpy as np
 
-from lieint_jax.runs._job.made_states import MakeStates, made_states
-from lieint_jax.runs._job.part_of_task import checked_part
-from lieint_jax.runs._march.clock import power_of_two
+from lieint_jax.runs._clock import power_of_two
+from lieint_jax.runs._made_states import MakeStates, made_states
+from lieint_jax.runs._part_of_task import checked_part
 from lieint_jax.runs._plan import chunk_members, rows_of_call
 from lieint_jax.runs._storage.storage import StoreOptions, Url, address
 from lieint_jax.runs.store._store_output import SLAB
@@ -20,7 +20,7 @@ _CARRIES = 6  # copies of a part's carry: of the loop, and while states are made
 _ENCODED = 2  # more of them while a store encodes one
 _ROWS = 2  # copies of the rows of a call: a store's are written while others are computed
 _CHUNKS = 3  # copies of the chunks that are joined and encoded at once
-_IMPORTS = 50_000_000  # bytes of zarr
+_IMPORTS = 50_000_000  # bytes of pydantic and the codecs of a store
 _REPORT, _CHANGE = 2 * 8 + 1, 3 * 8  # bytes of a member's report and of its reduced quantity in a carry
 _REDUCED = 5 * 8 + 1  # bytes of a member in a row of a run with `reduce`
 

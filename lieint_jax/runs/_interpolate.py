@@ -16,7 +16,7 @@ from numpy.typing import ArrayLike
 from lieint_jax import _checks
 from lieint_jax._checks import concrete
 from lieint_jax._xla import compiled
-from lieint_jax.runs._march.clock import power_of_two
+from lieint_jax.runs._clock import power_of_two
 from lieint_jax.types import SpaceWithUnits, State, System, Trajectory, time_derivative
 from lieint_jax.types.members import axes
 

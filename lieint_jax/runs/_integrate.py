@@ -16,9 +16,9 @@ from jax.typing import ArrayLike
 from lieint_jax import _checks, native
 from lieint_jax._checks import concrete
 from lieint_jax._xla import compiled
-from lieint_jax.runs._march.adjoints import Adjoint, ReversibleAdjoint, check_undoable, undoable, undoable_at
-from lieint_jax.runs._march.arguments import check_inertias, explained
-from lieint_jax.runs._march.clock import (
+from lieint_jax.runs._adjoints import Adjoint, ReversibleAdjoint, check_undoable, undoable, undoable_at
+from lieint_jax.runs._arguments import check_inertias, explained
+from lieint_jax.runs._clock import (
     MOST_COUNTED,
     MOST_TRACED,
     Clock,
@@ -34,7 +34,7 @@ from lieint_jax.runs._march.clock import (
     splits,
     steps_to_reach,
 )
-from lieint_jax.runs._march.driver import Reached, at_start, join_start, prepared, saved_states
+from lieint_jax.runs._driver import Reached, at_start, join_start, prepared, saved_states
 from lieint_jax.types import State, Step, StepError, StepInfo, Trajectory, checked_step, promoted, start_time
 
 _LEAST_BYTES, _MOST_BYTES = 2**20, 2**26  # of the saved states that the loop of a run is compiled for

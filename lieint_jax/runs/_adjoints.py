@@ -25,10 +25,10 @@ import numpy as np
 from jax import Array, lax
 from jax.typing import ArrayLike
 
-from lieint_jax import native
+from lieint_jax import _checks, native
 from lieint_jax._xla import compiled, rereading_jit, with_common_axes
-from lieint_jax.runs._march.clock import Clock, GridClock, UniformClock, is_inside, uniform_clock
-from lieint_jax.runs._march.driver import Reached, at_start, counted, reported
+from lieint_jax.runs._clock import Clock, GridClock, UniformClock, is_inside, uniform_clock
+from lieint_jax.runs._driver import Reached, at_start, counted, reported
 from lieint_jax.schemes import Composition
 from lieint_jax.types import State, Step
 from lieint_jax.types.shapes import PyTree

@@ -18,7 +18,7 @@ from jax.typing import ArrayLike
 
 from lieint_jax import native
 from lieint_jax._xla import rematerialized, with_common_mesh
-from lieint_jax.runs._march.clock import Clock, GridClock, at_time, uniform_clock
+from lieint_jax.runs._clock import Clock, GridClock, at_time, uniform_clock
 from lieint_jax.types import State, Step, StepInfo, Trajectory
 
 Tree = Any  # a tree of arrays

@@ -13,11 +13,11 @@ from numpy.typing import ArrayLike
 
 from lieint_jax import _checks
 from lieint_jax.dates import DateLike
-from lieint_jax.runs._host.run import Run, run_of_plan, stored_run
-from lieint_jax.runs._job.loop import Reduction
-from lieint_jax.runs._job.made_states import MakeStates
-from lieint_jax.runs._march.arguments import explained
+from lieint_jax.runs._arguments import explained
+from lieint_jax.runs._loop import Reduction
+from lieint_jax.runs._made_states import MakeStates
 from lieint_jax.runs._plan import make_plan
+from lieint_jax.runs._run import Run, run_of_plan, stored_run
 from lieint_jax.runs._storage.storage import StoreOptions, address
 from lieint_jax.runs._summary import MemberSummary, Summary
 from lieint_jax.runs.store._reading import open_with_step

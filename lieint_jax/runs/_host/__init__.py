@@ -1,1 +1,0 @@
-"""Runs on the host: `Run`, and what makes, extends, saves and submits one."""

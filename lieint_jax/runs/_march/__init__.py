@@ -1,1 +1,0 @@
-"""Runs inside of jit: the times of steps, the loop over them, output, events and interpolation."""
