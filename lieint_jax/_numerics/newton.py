@@ -248,7 +248,7 @@ def chords(
     def solve(function: Callable[[_Unknown], _Unknown], x: _Unknown) -> tuple[_Unknown, tuple[_Unknown, Array]]:
         eps = float(jnp.finfo(jax.tree.leaves(x)[0].dtype).eps)
 
-        def settled(x: _Unknown, before: _Unknown, last: _Unknown, earlier: _Unknown) -> _Unknown:
+        def settles(x: _Unknown, before: _Unknown, last: _Unknown, earlier: _Unknown) -> _Unknown:
             """Which components one more correction would not change, or are rounding: a new matrix has not helped."""
             rounding = _STALLED * eps * _largest(jax.tree.map(jnp.multiply, x, units))
             return jax.tree.map(
@@ -259,7 +259,7 @@ def chords(
             )
 
         def use_matrix(carry: PyTree) -> PyTree:
-            x, monitor, k, earlier, known, _ = carry
+            x, monitor, k, earlier, settled, _ = carry
             F = function(x)
             K = factored(x, F)
             sizes, steps = [], []
@@ -270,17 +270,17 @@ def chords(
                 x = jax.tree.map(jnp.subtract, x, step)
                 monitor = monitor.update(lax.stop_gradient(length(step)), _CHORD)
                 steps.append(lax.stop_gradient(jax.tree.map(jnp.abs, step)))
-            before, last = sizes[-2:]
+            (before, last), (previous, newest) = sizes[-2:], steps[-2:]
             monitor = monitor._replace(growth=jnp.where(K.positive, monitor.growth, jnp.inf))
-            known = jax.tree.map(jnp.logical_or, known, settled(x, *steps[-2:], earlier))
+            settled = jax.tree.map(jnp.logical_or, settled, settles(x, previous, newest, earlier))
             done = (last <= eps) | (last * last <= eps / 8 * before)
-            return x, monitor, k + 1, steps[-1], known, done & _every(known)
+            return x, monitor, k + 1, newest, settled, done & _every(settled)
 
         monitor, no = ContractionMonitor.start(lax.stop_gradient(length(x))), jnp.zeros((), bool)
         far = jax.tree.map(lambda x: jnp.full_like(x, jnp.finfo(x.dtype).max), lax.stop_gradient(x))
         start = (x, monitor, jnp.zeros((), jnp.int32), far, jax.tree.map(jnp.isnan, far), no)
-        x, monitor, _, _, known, _ = lax.while_loop(lambda c: (c[2] < iterations) & ~c[-1], use_matrix, start)
-        return x, (function(x), jnp.where(_every(known), monitor.growth, jnp.inf))
+        x, monitor, _, _, settled, _ = lax.while_loop(lambda c: (c[2] < iterations) & ~c[-1], use_matrix, start)
+        return x, (function(x), jnp.where(_every(settled), monitor.growth, jnp.inf))
 
     traced_once = jax.jit(residual)  # its equations are many, and used five times
     x, (F, growth) = implicit_root(traced_once, guess, solve, _tangent_solve_by_elimination)

@@ -369,7 +369,7 @@ class Run(Generic[Saved, Reduced]):
             plan = make_plan(step, start, *sizes, save_every=parts * every, own_step=facts.own_step, progress=False)
             return run_of_plan(plan).state
 
-        return estimate(np.asarray(self.t), chosen, self.step.order, saved, finer(2), finer(4))
+        return estimate(np.asarray(self.t), chosen, self.step.order, saved, finer(2), finer(4), steps)
 
     def periods(self) -> Periods:
         """The mean periods of precession and rotation of a tumbling body at each save: `body.periods`.

@@ -47,7 +47,7 @@ def test_newton_s_method_goes_on_by_flags():
 
     def solve(x):
         F = lambda x: x * x - 2  # noqa: E731
-        once = newton.chords(F, factored, jnp.abs, jnp.abs, x, 9)
+        once = newton.chords(F, factored, jnp.abs, jnp.abs, jnp.ones_like(x), x, 9)
         return once, newton.repeated_chords(F, factored, jnp.abs, x, x, 1e-16 * x, 9)
 
     found = list(conditions(jax.make_jaxpr(solve)(1.5).jaxpr))

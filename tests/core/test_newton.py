@@ -82,7 +82,7 @@ def by_chords(c, iterations=8, wrong=0.0):
     def largest(F):
         return jnp.abs(jnp.stack(F)).max()
 
-    return newton.chords(residual, factored, largest, largest, 0.5 * c, iterations)
+    return newton.chords(residual, factored, largest, largest, jax.tree.map(jnp.ones_like, c), 0.5 * c, iterations)
 
 
 @pytest.mark.long

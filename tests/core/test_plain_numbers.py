@@ -157,7 +157,7 @@ CALLS = {
     "li.event": lambda: dict(step=step(), state=state(), dt=0.1, condition=lambda z: z.p[0], max_steps=3),
     "li.interpolate": lambda: dict(system=body(), trajectory=li.integrate(step(), state(), 0.05, 4), times=T[:1]),
     "li.transition": lambda: dict(step=step(), state=state(), dt=0.1, num_steps=2),
-    "li.integrate, steps undone": lambda: dict(
+    "li.integrate (steps undone)": lambda: dict(
         step=step(), state=state(), dt=0.1, save_at=T[1:2], adjoint=li.ReversibleAdjoint()
     ),
     "attitude.from_euler": dict(sequence="ZYX", angles=V),
@@ -168,6 +168,7 @@ CALLS = {
     **{f"attitude.{name}": dict(q=Q) for name in attitude.__all__ if "scalar" in name or name.startswith("to_m")},
     "attitude.to_rotvec": dict(q=Q),
     "diagnostics.certify": lambda: dict(step=step(), state=state(), dt=0.1, num_steps=4),
+    "diagnostics.round_trip_error": lambda: dict(step=step(), state=state(), dt=0.1, num_steps=2),
     "diagnostics.conditions": lambda: dict(step=step(), state=state(), dt=0.1),
     "diagnostics.equilibrium": lambda: dict(system=body(), guess=spinning(), frame=np.array([0, 0, 1.0])),
     "diagnostics.normal_modes": lambda: dict(system=body(), state=spinning(), frame=np.array([0, 0, 1.0])),

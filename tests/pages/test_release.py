@@ -17,7 +17,7 @@ def text(name):
 def test_the_conda_recipe_requires_what_the_package_requires():
     run = text("docs/conda/recipe.yaml").partition("  run:\n")[2].partition("\ntests:")[0]
     recipe = {tuple(line.split("- ")[1].split(" ")) for line in run.strip().splitlines()}
-    required = {tuple(re.fullmatch(r"([a-z]+)(.*)", x).groups()) for x in PROJECT["dependencies"]}
+    required = {tuple(re.fullmatch(r"([a-z0-9-]+)([<>=].*)", x).groups()) for x in PROJECT["dependencies"]}
     python = ("python", PROJECT["requires-python"])
     expected = {("matplotlib-base" if name == "matplotlib" else name, bound) for name, bound in {*required, python}}
     assert recipe == expected
