@@ -13,6 +13,7 @@ from jax import Array
 
 from lieint_jax import _checks
 from lieint_jax.orbits._kepler import kepler
+from lieint_jax.types import callable_pytree
 from lieint_jax.types.shapes import Calls
 
 __all__ = ["graded_times"]
@@ -47,11 +48,12 @@ def graded_times(
         raise ValueError(f"t0 and t1 must be finite and differ, got {t0} and {t1}")
     if not (0 < c < math.inf):
         raise ValueError(f"c must be positive and finite, got {c}")
-    position = jax.jit(jax.vmap(lambda t: orbit(t)[0]))
+    # The orbit is an argument: a jitted function that closes over its arrays was called without them by JAX 0.10.
+    whole, position = callable_pytree(orbit), jax.jit(jax.vmap(lambda orbit, t: orbit(t)[0], (None, 0)))
     times = np.linspace(t0, t1, n + 1)
     for _ in range(_GRADINGS):  # each on a grid graded by the one before
         fine = np.interp(np.arange(_PARTS * n + 1) / _PARTS, np.arange(n + 1), times)
-        r = np.linalg.norm(np.asarray(position(jnp.asarray(fine)), float), axis=1)
+        r = np.linalg.norm(np.asarray(position(whole, jnp.asarray(fine)), float), axis=1)
         rate = r.min() / r + c
         s = np.concatenate([[0.0], np.cumsum((rate[1:] + rate[:-1]) * np.diff(fine))])
         times = np.interp(np.linspace(0, 1, n + 1), s / s[-1], fine)
