@@ -205,7 +205,7 @@ def _largest(x: PyTree) -> Array:
     return functools.reduce(jnp.maximum, parts)
 
 
-def _every(flags: PyTree) -> Array:
+def _all_of(flags: PyTree) -> Array:
     """Whether all are True."""
     return functools.reduce(jnp.logical_and, [jnp.all(flag) for flag in jax.tree.leaves(flags)])
 
@@ -274,13 +274,13 @@ def chords(
             monitor = monitor._replace(growth=jnp.where(K.positive, monitor.growth, jnp.inf))
             settled = jax.tree.map(jnp.logical_or, settled, settles(x, previous, newest, earlier))
             done = (last <= eps) | (last * last <= eps / 8 * before)
-            return x, monitor, k + 1, newest, settled, done & _every(settled)
+            return x, monitor, k + 1, newest, settled, done & _all_of(settled)
 
         monitor, no = ContractionMonitor.start(lax.stop_gradient(length(x))), jnp.zeros((), bool)
         far = jax.tree.map(lambda x: jnp.full_like(x, jnp.finfo(x.dtype).max), lax.stop_gradient(x))
         start = (x, monitor, jnp.zeros((), jnp.int32), far, jax.tree.map(jnp.isnan, far), no)
         x, monitor, _, _, settled, _ = lax.while_loop(lambda c: (c[2] < iterations) & ~c[-1], use_matrix, start)
-        return x, (function(x), jnp.where(_every(settled), monitor.growth, jnp.inf))
+        return x, (function(x), jnp.where(_all_of(settled), monitor.growth, jnp.inf))
 
     traced_once = jax.jit(residual)  # its equations are many, and used five times
     x, (F, growth) = implicit_root(traced_once, guess, solve, _tangent_solve_by_elimination)

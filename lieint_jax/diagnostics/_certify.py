@@ -116,9 +116,9 @@ class Certificate(NamedTuple):
             lines[1] = f"  {'momentum':<16} {'—':>9}   no momentum map"
         if not self.hamiltonian:  # neither energy, momentum nor a form
             del lines[3], lines[:2]
-        return "\n".join([self._off(), head, *lines])
+        return "\n".join([self._error_line(), head, *lines])
 
-    def _off(self) -> str:
+    def _error_line(self) -> str:
         """How wrong the run is: what its conserved energy does not show."""
         if self.error is None:
             return "how far off it is was not measured: not every step of the runs with dt, dt/2 and dt/4 converged"
@@ -230,12 +230,12 @@ def _error(step: Step, state: State, h: Array, num_steps: int, most: int, run: T
 def _at_times(system: System, states: State, t: Array) -> State:
     """States moved to times that are near their own, to first order."""
 
-    def moved(state: State, t: Array) -> State:
+    def shift(state: State, t: Array) -> State:
         assert state.t is not None  # a step with its own time advances it
         rate = time_derivative(system, state)
         return state._replace(q=state.q + (t - state.t) * rate.q, p=state.p + (t - state.t) * rate.p)
 
-    return jax.vmap(moved)(states, t)
+    return jax.vmap(shift)(states, t)
 
 
 class MeasuredInvariants(NamedTuple):

@@ -51,7 +51,9 @@ def execute(engine: Engine, output: MemoryOutput | StoreOutput) -> Saves | None:
     """Run a plan to its end, append its saved rows to `output`, and return the output's result."""
     plan, restored = engine.plan, output.restore()
     given, start = engine.start()
-    H0 = engine.quantity(energy, given, start.state) if plan.progress and Bar.is_visible() else None
+    H0 = None
+    if plan.progress and Bar.is_visible():
+        H0 = devices.without_padding(engine.quantity(energy, given, start.state), plan.members)
     if restored is None:
         _check_quantity(plan, given)
         if output.commits and plan.num_steps:  # before anything is written
@@ -79,7 +81,7 @@ def execute(engine: Engine, output: MemoryOutput | StoreOutput) -> Saves | None:
             bar.update(steps)
             if H0 is not None:
                 H = engine.quantity(energy, given, carry.state)
-                H0, H, failed = devices.without_padding((H0, H, carry.failed), plan.members)
+                H, failed = devices.without_padding((H, carry.failed), plan.members)
                 error = devices.worst_energy_error(H0, H) if plan.step.system.hamiltonian else None
                 bar.show(error, int(np.sum(failed >= 0)))
             seconds, stop = time.perf_counter() - clock, bool(requested)

@@ -137,7 +137,7 @@ class MemoryOutput:
             info, states = self._out
             return Saves(Trajectory(times, plan.with_times(states), info), failed)  # pyright: ignore
         series = {name: x for name, x in self._out.items() if name != "sums"}
-        ends = {"state": state, "failed": failed}
+        ends = {"state": plan.with_times(state, -1), "failed": failed}
         if not plan.per_member:
             return Saves(Summary(times, **series, **ends), failed)
         change: Any = devices.without_padding(carry.change, plan.members)

@@ -158,17 +158,18 @@ class Plan:
         """States as the loop saves them: without a time that follows from the number of steps."""
         return states if self.step.own_time else states._replace(t=None)
 
-    def with_times(self, states: State, entries: slice = slice(None)) -> State:
+    def with_times(self, states: State, entries: slice | int = slice(None)) -> State:
         """States as the loop saved them at these entries, with their times."""
         if self.states.t is None or self.step.own_time:
             return states
         return states._replace(t=self.times_of(entries))  # pyright: ignore[reportArgumentType]
 
-    def times_of(self, entries: slice = slice(None), members: slice = slice(None)) -> np.ndarray:
-        """The times of these members at these entries, (entries, members), which follow from the number of steps."""
+    def times_of(self, entries: slice | int = slice(None), members: slice = slice(None)) -> np.ndarray:
+        """The times of members at entries, (entries, members), or at one, (members,): they follow from its steps."""
+        times = self.times[entries]
         if self.own_times:
-            return np.asarray(self.states.t)[members] + self.times[entries, None]
-        return shared_time(self.times[entries], self.members)[:, members]
+            return np.asarray(self.states.t)[members] + times[..., None]
+        return shared_time(times, self.members)[..., members]
 
     def member(self, m: int) -> tuple[Step, State]:
         """The step and the initial state of one member."""
@@ -197,7 +198,8 @@ class Plan:
         own = self.split().part(self.part[0])
         plan = self.select(slice(own.start, own.stop))
         if self.make_states is not None:
-            states, shared = _checked_states(self.step, _made(self.step, self.make_states, own), own)
+            made = promoted(self.step, self.make_states.make(own))[1]
+            states, shared = _checked_states(self.step, made, own)
             plan = dataclasses.replace(plan, states=states, shared_time=shared)
             _check_members(plan, own.start)
         return dataclasses.replace(plan, own=own)
@@ -397,11 +399,6 @@ def _check_reduction(reduce: object, per: object, first: object, over_saves: boo
         raise ValueError('per="member" is over all steps: give no save_every and no save_at')
 
 
-def _made(step: Step, made: MadeStates, members: range) -> State:
-    """The states that a function makes for these members, in the precision of the step."""
-    return promoted(checked_step(step), made.make(members))[1]
-
-
 def _function(given: Reduction | None) -> Reduction | None:
     """A function of the user's, as a pytree if it has numbers."""
     return given if given is None or jax.tree_util.all_leaves([given]) else callable_pytree(given)
@@ -474,7 +471,7 @@ def _checked_states(step: Step, states: State, made: range | None) -> tuple[Stat
 def _check_members(plan: Plan, first: int) -> None:
     """Raise ValueError unless all states are those of the step's system."""
     step, state = plan.member(0)
-    member_axis(plan.step.system, state, plan.members, 0 if plan.own_step else None, "step_axis")
+    member_axis(plan.step.system, state, plan.members, 0 if plan.own_step else None, "own_step")
     defect = np.abs(np.asarray(_defects(plan.step.system.phase_space, plan.states)))
     bad = np.flatnonzero(defect > 2 * _checks.UNIT_TOLERANCE)  # |q|² − 1 is twice the error of |q|
     if bad.size:

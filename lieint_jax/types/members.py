@@ -105,7 +105,7 @@ def member_axis(
         return None
     shared, own = _fits(system, one), _fits(jax.tree.map(lambda x: x[0], system), one)
     if given is None and own and not shared:
-        words = "own_step=True" if name == "step_axis" else f"{name}=0"
+        words = "own_step=True" if name == "own_step" else f"{name}=0"
         raise ValueError(f"there is one system per member ({told}): give {words}")
     if given == "auto" and own and shared:
         return "values"

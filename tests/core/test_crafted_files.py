@@ -230,7 +230,7 @@ def stores(good):
         yield from ((f"{key} = {value!r}", put(key, value=value)) for value in values)
     for key, value in (("entries", 4), ("entries", "3"), ("entries", -3), ("complete", 1), ("commits", 0.5)):
         yield f"progress of {key} = {value!r}", put("progress", key, value=value)
-    for key, value in (("versions", []), ("versions", {"jax": 3}), ("step_axis", 0), ("step_axis", "0"), ("device", 1)):
+    for key, value in (("versions", []), ("versions", {"jax": 3}), ("own_step", 0), ("own_step", "0"), ("device", 1)):
         yield f"run of {key} = {value!r}", put("run", key, value=value)
     nested = {"tuple": []}
     for _ in range(200):

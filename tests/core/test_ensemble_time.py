@@ -199,3 +199,12 @@ def test_states_without_what_they_need_are_refused():
             run(states=bad)
     with pytest.warns(RuntimeWarning, match="count time from a nearer epoch"):
         run(states=states._replace(t=jnp.asarray(1e9)))
+
+
+@pytest.mark.parametrize("where", ["memory", "store"])
+def test_members_of_a_reduced_run_end_at_the_times_of_the_saved_one(tmp_path, where):
+    """To the bit, where states count work too, so that the sizes of steps are rounded."""
+    states, path = started(np.linspace(0.1, 3.3, MEMBERS)), tmp_path / "run.zarr" if where == "store" else None
+    size = {"dt": 0.07, "num_steps": 61, "save_every": 61}
+    saved, reduced = run(states=states, uniform=size), run(path, states=states, uniform=size, reduce="energy")
+    np.testing.assert_array_equal(reduced.summary.state.t, saved.state.t[-1])

@@ -74,7 +74,8 @@ class StoreOptions(NamedTuple):
 
     Attributes:
         path: a folder or a URL, whose name ends in .zarr; for `run.save` a folder, or one file NAME.zip.
-        attributes: values for JSON, such as a title.
+        attributes: values for JSON, such as a title. The key "scenario" describes the run: a run with another scenario
+            cannot resume it.
         time_unit: the unit of dt.
     """
 

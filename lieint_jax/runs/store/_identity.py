@@ -63,6 +63,7 @@ def description(plan: Plan, engine: Engine) -> Table:
         "compiler_options": compiler_options() if engine.name == "xla" else {},
         "XLA_FLAGS": " ".join(flags),
         "device": device(),
+        "scenario": None if plan.store is None else plan.store.attributes.get("scenario"),
     }
     return json.loads(json.dumps(described))
 

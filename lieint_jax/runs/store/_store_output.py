@@ -111,7 +111,7 @@ class StoreOutput:
             if self._plan.shared_time:
                 del kept["t"]
             elif self._plan.own_times:
-                kept["t"] = self._own_times(slice(-1, None), members)[0]
+                kept["t"] = self._plan.times_of(-1)
         for name, x in kept.items():
             yield Slab(store_name(name), (members.start,), x)
 
@@ -128,11 +128,8 @@ class StoreOutput:
                 yield Slab(store_name(name), (entries.start, slab.start), joined)
         if self._plan.own_times:
             for slab in slabs:
-                yield Slab("t", (entries.start, slab.start), self._own_times(entries, slab))
-
-    def _own_times(self, entries: slice, members: range) -> np.ndarray:
-        """The values of the array "t" for these members."""
-        return self._plan.times_of(entries, slice(members.start, members.stop))
+                times = self._plan.times_of(entries, slice(slab.start, slab.stop))
+                yield Slab("t", (entries.start, slab.start), times)
 
     def can_stop(self) -> bool:
         """True if everything so far is committed."""
