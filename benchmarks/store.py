@@ -59,10 +59,11 @@ class Clocks:
         from lieint_jax.runs._storage.arrays import ArrayMetadata
         from lieint_jax.runs._storage.disk import Disk
         from lieint_jax.runs.store._store_output import StoreOutput
+        from lieint_jax.runs.store._writer import Writer
 
         self.seconds: dict[str, float] = dict.fromkeys(PARTS, 0.0)
         self.made = self.sync_of_making = math.nan  # when the output began, and the seconds of `sync` until then
-        timed: dict[str, tuple[Any, str]] = {"loop": (Engine, "run_intervals"), "waiting": (StoreOutput, "_settle")}
+        timed: dict[str, tuple[Any, str]] = {"loop": (Engine, "run_intervals"), "waiting": (Writer, "wait")}
         timed |= {"pack": (ArrayMetadata, "encode"), "write": (Disk, "stage"), "sync": (Disk, "settle")}
         self.patches = [
             mock.patch.object(kind, method, self._timed(name, getattr(kind, method)))
