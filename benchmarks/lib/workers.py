@@ -309,5 +309,5 @@ def verify(simulation: Simulation) -> dict[str, int]:
     objects = [name for name in bucket.sizes() if "/c/" in name]
     chunks = math.ceil(simulation.model.entries / simulation.model.rows)
     expected_objects = simulation.model.workers * (4 * chunks + 1)
-    constants = sum(name.split("/")[0] in ("time", "system_inertia", "quaternion", "axis") for name in objects)
+    constants = sum(name.split("/")[0] in ("time", "step", "quaternion", "axis") for name in objects)
     return {"lost": lost, "doubled": len(objects) - constants - expected_objects}

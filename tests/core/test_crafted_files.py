@@ -218,6 +218,7 @@ def in_place_of(name, make):
 def stores(good):
     """Changes of a store, by what they do."""
     [constant] = json.loads((good / "zarr.json").read_text())["attributes"]["constants"]
+    constant = f"step/{constant}"
     required = ("progress", "run", "members", "num_steps", "save_every", "dt", "reduce", "scheme", "system", "format")
     required += ("batch", "per", "leaves", "constants", "description", "time_unit", "num_entries", "digests")
     required += ("member_chunk", "time_chunk")
@@ -250,6 +251,9 @@ def stores(good):
         yield f"{name} has chunks of 0", put("shown", name, "chunk_grid", "configuration", "chunk_shape", value=[0])
         yield f"codecs of {name}", put("shown", name, "codecs", value=[])
     yield "an array out of the store", put("shown", "../../x", value={})
+    yield "an array of the step out of the store", put("shown", "step/../../x", value={})
+    yield "no group of the step", put("shown", "step", value=...)
+    yield "a group of the step with attributes", put("shown", "step", "attributes", value={"x": 1})
     yield "no consolidated metadata", rooted(lambda root, *_: root.pop("consolidated_metadata") and None)
     yield "attributes are a list", rooted(lambda root, *_: root | {"attributes": []})
     for text in ("", "{", "[]", "3", "[" * 100_000, "\xff", '{"attributes": {}}', '{"attributes": {"progress": 1}}'):

@@ -31,11 +31,11 @@ SENTENCES = [
     (lambda: archives.load_store(Path("group.zarr")), "a Zarr group, but was not written by lieint"),
     (
         lambda: archives.load_store(Path("newer.zarr")),
-        "format 99, that of a newer lieint_jax; this one reads format 7",
+        "format 99, that of a newer lieint_jax; this one reads format 8",
     ),
     (
         lambda: archives.load_store(Path("older.zarr")),
-        "format 6, that of an older lieint_jax; this one reads format 7",
+        "format 7, that of an older lieint_jax; this one reads format 8",
     ),
     (lambda: archives.load_store(Path("oldest.zarr")), "has format 1, that of an older lieint_jax"),
     (lambda: archives.load_store(Path("damaged.zarr")), "is damaged: its checksum is wrong"),
@@ -49,9 +49,9 @@ def unusable(tmp_path, monkeypatch):
     attributes = {
         "group": {},
         "newer": {"progress": 1, "format": 99},
-        "older": {"progress": 1, "format": 6},
+        "older": {"progress": 1, "format": 7},
         "oldest": {"progress": 1},
-        "damaged": {"progress": 1, "format": 7, "checksum": "0"},
+        "damaged": {"progress": 1, "format": 8, "checksum": "0"},
     }
     for name, found in attributes.items():
         Path(f"{name}.zarr").mkdir()

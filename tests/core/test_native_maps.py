@@ -74,7 +74,7 @@ def once(function):
     return lambda x: li.scan(lambda c, _: (c, function(c)), x, length=1)[1]
 
 
-@pytest.mark.parametrize("function", [moved, combined, repeated, differentiated])
+@pytest.mark.parametrize("function", [moved, combined, pytest.param(repeated, marks=pytest.mark.long), differentiated])
 def test_maps_mean_what_xla_does(monkeypatch, function):
     """Observed: 4e-16 of the largest entry. The rows of one member are lanes; among others it has the same bits."""
     always_map(monkeypatch)

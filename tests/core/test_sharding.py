@@ -77,6 +77,7 @@ def spread_over_four_devices(which):
     assert done.returncode == 0, done.stderr
 
 
+@pytest.mark.long
 def test_each_device_computes_its_members():
     spread_over_four_devices("quick")
 

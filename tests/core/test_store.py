@@ -95,7 +95,7 @@ def test_xarray_reads_a_store(tmp_path, small_chunks):
     memory = run()
     run(li.StoreOptions(tmp_path / "run.zarr", {"seed": 3, "scenario": {"title": "x"}}, "d"))
     with xarray.open_zarr(tmp_path / "run.zarr") as data:
-        assert data.sizes == {"time": 13, "member": 40, "quaternion": 4, "axis": 3, "system_inertia_axis0": 3}
+        assert data.sizes == {"time": 13, "member": 40, "quaternion": 4, "axis": 3}
         np.testing.assert_array_equal(data.q.sel(time=2.0, method="nearest"), memory.state.q[4])
         np.testing.assert_array_equal(data.time, memory.t)
         assert (data.attrs["dt"], data.attrs["seed"], data.time.attrs["units"]) == (0.1, 3, "d")
@@ -285,7 +285,7 @@ def swapped(path, a, b):
 
 
 def heavier(path):
-    zarr.open_array(str(path / "system_inertia"), mode="r+")[...] = [1.0, 2.0, 2.5]
+    zarr.open_array(str(path / "step" / "system_inertia"), mode="r+")[...] = [1.0, 2.0, 2.5]
 
 
 ELSEWHERE = "is the chunk of another place"
@@ -302,8 +302,8 @@ MIXTURES = {  # which commit, what is done to it, what is said of it
     ),
     "two chunks swapped": (1, lambda p, at: swapped([p / "q/c"], "0", "1"), f"q/c/0/0/0 {ELSEWHERE}"),
     "the same in a complete run": (3, lambda p, at: swapped([p / "q/c"], "0", "2"), f"q/c/2/0/0 {ELSEWHERE}"),
-    "an inertia rewritten": (1, lambda p, at: heavier(p), "system_inertia is not as the run wrote it"),
-    "the same in a complete one": (3, lambda p, at: heavier(p), "system_inertia is not as the run wrote it"),
+    "an inertia rewritten": (1, lambda p, at: heavier(p), "step/system_inertia is not as the run wrote it"),
+    "the same in a complete one": (3, lambda p, at: heavier(p), "step/system_inertia is not as the run wrote it"),
     "no state": (1, lambda p, at: (p / STATE).unlink(), rf"{STATE} is missing"),
     "no parts": (1, lambda p, at: shutil.rmtree(p / "parts"), rf"{STATE} is missing"),
     "no array for the end": (1, lambda p, at: shutil.rmtree(p / "first_failure"), "first_failure/zarr.json is missing"),

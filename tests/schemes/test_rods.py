@@ -39,7 +39,8 @@ THROWN = {  # the rod and its start, steps, bounds on the changes of H − W and
 }
 
 
-@pytest.mark.parametrize("name", ["free", *(pytest.param(x, marks=pytest.mark.long) for x in ("damped", "float32"))])
+@pytest.mark.long
+@pytest.mark.parametrize("name", THROWN)
 def test_a_rod_in_flight_conserves_energy_less_work_and_both_momenta(name):
     make, steps, most, most_momentum = THROWN[name]
     (rod, start), dt = make(), jnp.float32(0.01) if name == "float32" else 0.01
@@ -71,6 +72,7 @@ def test_the_work_of_a_driven_end_of_loads_and_of_damping_is_counted():
     assert abs(energy).max() < 6e-15
 
 
+@pytest.mark.long
 def test_a_pair_of_sections_vibrates_and_decays_as_a_damped_oscillator():
     """Along the rod: ω² = EA (1/m + 1/m)/ℓ and the rate ½τω², of a Kelvin–Voigt material; P and L are conserved."""
     tau = 0.01

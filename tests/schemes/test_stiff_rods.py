@@ -112,8 +112,7 @@ def single(tree):
     return jax.tree.map(lambda x: x.astype(np.float32), tree)
 
 
-@pytest.mark.quick
-@pytest.mark.parametrize("name", ["rod", *(pytest.param(x, marks=pytest.mark.long) for x in list(CONSERVED)[1:])])
+@pytest.mark.parametrize("name", CONSERVED)
 def test_stiff_bodies_conserve_all_by_newton(name):
     """Where iterations on the forces fail."""
     make, steps, every, bounds = CONSERVED[name]

@@ -29,6 +29,7 @@ _CHUNK_BYTES = 2**30
 _MAX_NAMED = 5  # sentences in a message
 _LEVEL = -1  # of zstd: six times as fast as 0, and 5 % larger, for numbers of simulations
 _TEXT = "string"  # Zarr's name of a data type
+GROUP = {"attributes": {}, "zarr_format": 3, "node_type": "group"}  # the metadata of the group of the step
 
 
 class ArrayMetadata(NamedTuple):

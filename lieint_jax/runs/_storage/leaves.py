@@ -9,11 +9,17 @@ import numpy as np
 from lieint_jax.types import State, state_from_leaves
 
 Table = dict[str, Any]  # an object of JSON
+STEP = "step"  # the group of the arrays of the step
 
 
 def store_name(name: str) -> str:
     """The name of an array in a store, an identifier: extra_NAME for extra.NAME."""
     return name.replace(".", "_")
+
+
+def step_array(name: str) -> str:
+    """The path of an array of the step: these are in a group of their own, so that readers of the root see the run."""
+    return f"{STEP}/{name}"
 
 
 def shared_time(times: np.ndarray, members: int) -> np.ndarray:

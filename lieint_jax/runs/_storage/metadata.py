@@ -15,13 +15,14 @@ from pydantic import (
     PlainValidator,
     Strict,
     ValidationError,
+    field_validator,
     model_validator,
 )
 
 from lieint_jax import _checks
 from lieint_jax.dates import epoch
-from lieint_jax.runs._storage.arrays import ArrayMetadata
-from lieint_jax.runs._storage.leaves import store_name
+from lieint_jax.runs._storage.arrays import GROUP, ArrayMetadata
+from lieint_jax.runs._storage.leaves import STEP, step_array, store_name
 from lieint_jax.runs._storage.untrusted import NAME
 
 _MAX_LENGTH, _MAX_PARTS = 10**15, 10**6
@@ -34,6 +35,12 @@ def _check_name(name: str) -> str:
     return name
 
 
+def _check_path(path: str) -> str:
+    """The path of an array, in the root or in the group of the step."""
+    _check_name(path.removeprefix(step_array("")))
+    return path
+
+
 def _check_date(text: str) -> str:
     epoch(text)
     return text
@@ -42,6 +49,7 @@ def _check_date(text: str) -> str:
 Natural = Annotated[int, Field(ge=0, le=_MAX_LENGTH)]
 Count = Annotated[int, Field(gt=0, le=_MAX_LENGTH)]
 Name = Annotated[str, AfterValidator(_check_name)]
+ArrayPath = Annotated[str, AfterValidator(_check_path)]
 
 
 class _Model(BaseModel):
@@ -89,7 +97,7 @@ class Description(Machine):
 class Digests(_Model):
     """The digests of the arrays that the run does not change."""
 
-    arrays: dict[Name, str]
+    arrays: dict[ArrayPath, str]
 
 
 class Attributes(_Model):
@@ -124,7 +132,15 @@ class Attributes(_Model):
 
 
 class _Shown(_Model):
-    metadata: dict[Name, Annotated[Any, PlainValidator(ArrayMetadata.from_json)]]
+    metadata: dict[ArrayPath, Annotated[Any, PlainValidator(ArrayMetadata.from_json)]]
+
+    @field_validator("metadata", mode="before")
+    @classmethod
+    def _has_group(cls, nodes: Any) -> Any:
+        """The arrays among the nodes, which have one group, that of the step."""
+        if not isinstance(nodes, dict) or nodes.get(STEP) != GROUP:
+            raise ValueError(f"it has no group {STEP}")
+        return {path: node for path, node in nodes.items() if path != STEP}
 
 
 class Metadata(_Model):
@@ -156,7 +172,7 @@ class Metadata(_Model):
         for leaf in map(store_name, found.leaves):
             if leaf != "t" or leaf in self.arrays:  # a time that all members share has no array of its own
                 self._expect(leaf, _REALS, of_members, more=1 if leaf in ("q", "p") else 0)
-        if missing := {*found.constants, *found.digests.arrays} - set(self.arrays):
+        if missing := {*map(step_array, found.constants), *found.digests.arrays} - set(self.arrays):
             raise ValueError(f"it has no array {min(missing)}")
         return self
 

@@ -13,10 +13,10 @@ from lieint_jax.runs._dyadic_sum import blocks
 from lieint_jax.runs._plan import Plan
 from lieint_jax.runs._split import Split
 from lieint_jax.runs._storage.arrays import ArrayMetadata, chunk_file, digest_of, tail
-from lieint_jax.runs._storage.leaves import Table, store_name
+from lieint_jax.runs._storage.leaves import Table, step_array, store_name
 from lieint_jax.runs._storage.storage import ROOT, StoreOptions
 from lieint_jax.runs.store._description import describe
-from lieint_jax.runs.store._root import FORMAT, START, encode_root
+from lieint_jax.runs.store._root import FORMAT, START, encode_root, nodes_of
 from lieint_jax.types import labeled, leaves_by_name
 
 _RESIDUAL = "largest residual of a step since the entry before"
@@ -63,10 +63,10 @@ def first_files(plan: Plan, options: StoreOptions, described: Table, split: Spli
             if not plan.per_member and split.parts > 1:
                 sums = {**series, "block": (most, most)}
                 metas["sums"] = axes.array(sums, long_name="sums over blocks of members")
-    constants = {name: constant(name, x, plan) for name, x in numbers.items()} | labels(plan)
+    constants = {step_array(name): constant(name, x, plan) for name, x in numbers.items()} | labels(plan)
     constants["time"] = metas["time"]._replace(chunks=(min(len(plan.times), _TIME_CHUNK),)), plan.times
     metas = dict(sorted({**metas, **{name: meta for name, (meta, _) in constants.items()}}.items()))
-    files = {f"{name}/{ROOT}": json.dumps(meta.to_json(), indent=2).encode() for name, meta in metas.items()}
+    files = {f"{name}/{ROOT}": json.dumps(node, indent=2).encode() for name, node in nodes_of(metas).items()}
     digests = {}
     for name, (meta, values) in constants.items():
         chunks = {chunk_file(name, key): meta.encode(x) for key, x in meta.blocks(values, (0,) * values.ndim)}

@@ -14,7 +14,7 @@ import numpy as np
 from lieint_jax.runs._loop import Change
 from lieint_jax.runs._storage.arrays import StoredArray, first_of
 from lieint_jax.runs._storage.files import open_storage
-from lieint_jax.runs._storage.leaves import Saves, Table, states_in
+from lieint_jax.runs._storage.leaves import Saves, Table, states_in, step_array
 from lieint_jax.runs._storage.storage import Address
 from lieint_jax.runs._storage.untrusted import wrap_errors
 from lieint_jax.runs._summary import SERIES, MemberSummary, Summary
@@ -123,7 +123,7 @@ def _from_store(
 ) -> _T:
     """The step, with this system, or the system of the run in a store."""
     storage = open_storage(path)
-    constants = {name: StoredArray.open(storage, name).read() for name in attributes["constants"]}
+    constants = {name: StoredArray.open(storage, step_array(name)).read() for name in attributes["constants"]}
     with wrap_errors(path, passed=(UnknownNameError,)):
         found = make(attributes["description"][what], constants, own or {}, system)
         if not isinstance(found, kind):

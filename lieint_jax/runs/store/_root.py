@@ -27,6 +27,7 @@ import numpy as np
 
 from lieint_jax.runs._split import Split
 from lieint_jax.runs._storage.arrays import (
+    GROUP,
     ArrayMetadata,
     damage_of_chunks,
     damage_of_constants,
@@ -35,14 +36,14 @@ from lieint_jax.runs._storage.arrays import (
     raise_if_damaged,
 )
 from lieint_jax.runs._storage.files import open_storage
-from lieint_jax.runs._storage.leaves import Table
+from lieint_jax.runs._storage.leaves import STEP, Table
 from lieint_jax.runs._storage.storage import ROOT, Address, Storage
 from lieint_jax.runs._storage.untrusted import UnreadableError, parse_json, refuse_special, wrap_errors
 
 if TYPE_CHECKING:
     from lieint_jax.runs._storage.metadata import Metadata
 
-FORMAT = 7  # the number of the format of stores, the only one that is read
+FORMAT = 8  # the number of the format of stores, the only one that is read
 ROWS, ENDS = "checksums of rows", "checksums of the end"  # arrays of a state
 CARRY = "checkpoint/"  # begins the names of its other arrays
 _DIGEST = 32  # bytes at the end of a state
@@ -239,9 +240,9 @@ class Root:
 
     def damage_of_root(self) -> Iterator[str]:
         """A line for each file of the run's description that is missing or altered."""
-        for name, expected in self.metas.items():
+        for name, expected in nodes_of(self.metas).items():
             try:
-                same = parse_json(self.storage.read(f"{name}/{ROOT}")) == expected.to_json()
+                same = parse_json(self.storage.read(f"{name}/{ROOT}")) == expected
             except (OSError, ValueError):
                 same = False
             if not same:
@@ -274,6 +275,11 @@ class Root:
         return f"{where} has {status.progress['entries']} of {self.entries} entries"
 
 
+def nodes_of(metas: Mapping[str, ArrayMetadata]) -> dict[str, Table]:
+    """The metadata of the group of the step, and of the arrays of the complete run, by path."""
+    return {STEP: GROUP} | {name: meta.to_json() for name, meta in metas.items()}
+
+
 def encode_root(root: Table, metas: Mapping[str, ArrayMetadata]) -> bytes:
     """The file of a root: its attributes, and the metadata of the arrays by name, which are those of the complete run.
 
@@ -282,7 +288,8 @@ def encode_root(root: Table, metas: Mapping[str, ArrayMetadata]) -> bytes:
     attributes = root["attributes"]
     entries = None if "parts" in attributes else attributes["progress"]["entries"]
     shown = {name: (meta if entries is None else meta.of_length(entries)).to_json() for name, meta in metas.items()}
-    root = root | {"consolidated_metadata": {"kind": "inline", "must_understand": False, "metadata": shown}}
+    nodes = {STEP: GROUP, **shown}
+    root = root | {"consolidated_metadata": {"kind": "inline", "must_understand": False, "metadata": nodes}}
     return json.dumps(root | {"attributes": attributes | {"checksum": checksum(root)}}, indent=1).encode()
 
 
