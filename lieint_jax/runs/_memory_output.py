@@ -23,8 +23,8 @@ def first_rows(plan: Plan, carry: Carry) -> Tree | Series:
     if plan.reduction is None:
         return jax.tree.map(lambda x: np.asarray(x)[None], (carry.info, plan.as_saved(carry.state)))
     found: Series = dict.fromkeys(plan.series_names, np.zeros(1, plan.dtype)) | {"unconverged": np.zeros(1, np.int64)}
-    if plan.own is not None and not plan.per_member:
-        found["sums"] = np.zeros((1, len(blocks(plan.own.start, plan.own.stop))), plan.dtype)
+    if plan.part_members is not None and not plan.per_member:
+        found["sums"] = np.zeros((1, len(blocks(plan.part_members.start, plan.part_members.stop))), plan.dtype)
     return found
 
 
@@ -61,7 +61,7 @@ def reduce_rows(rows: Tree, number: int, plan: Plan) -> Series:
         "mean": total([(members, sums)]) / (plan.members * (plan.save_every or 1)),
         **reports,
     }
-    return found if plan.own is None else found | {"sums": sums}  # pyright: ignore[reportReturnType]
+    return found if plan.part_members is None else found | {"sums": sums}  # pyright: ignore[reportReturnType]
 
 
 def _rows(saved: Tree, number: int, plan: Plan) -> Tree:

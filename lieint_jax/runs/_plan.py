@@ -76,7 +76,7 @@ class Plan:
         mesh: the devices.
         threads: the number of threads of machine code.
         progress: whether to show a progress bar.
-        own: the members of the run to which this plan is restricted, those of its part; None if it is of all.
+        part_members: the members of the run to which this plan is restricted, those of its part; None if it is of all.
     """
 
     step: Step
@@ -103,7 +103,7 @@ class Plan:
     mesh: Mesh
     threads: int
     progress: bool
-    own: range | None = None
+    part_members: range | None = None
 
     @property
     def members(self) -> int:
@@ -113,7 +113,7 @@ class Plan:
     @property
     def first_member(self) -> int:
         """The number in the run of the first member of this plan."""
-        return 0 if self.own is None else self.own.start
+        return 0 if self.part_members is None else self.part_members.start
 
     @property
     def dtype(self) -> np.dtype:
@@ -193,16 +193,16 @@ class Plan:
 
     def of_part(self) -> Plan:
         """The plan of this process: of the members of its part, whose states are made now if a function makes them."""
-        if self.part is None or self.own is not None:
+        if self.part is None or self.part_members is not None:
             return self
-        own = self.split().part(self.part[0])
-        plan = self.select(slice(own.start, own.stop))
+        members = self.split().part(self.part[0])
+        plan = self.select(slice(members.start, members.stop))
         if self.make_states is not None:
-            made = promoted(self.step, self.make_states.make(own))[1]
-            states, shared = _checked_states(self.step, made, own)
+            states = promoted(self.step, self.make_states.make(members))[1]
+            states, shared = _checked_states(self.step, states, members)
             plan = dataclasses.replace(plan, states=states, shared_time=shared)
-            _check_members(plan, own.start)
-        return dataclasses.replace(plan, own=own)
+            _check_members(plan, members.start)
+        return dataclasses.replace(plan, part_members=members)
 
     @property
     def is_remote(self) -> bool:
@@ -283,28 +283,29 @@ def make_plan(
     if resume and store is None:
         raise ValueError("resume continues a run in a store; pass store=PATH.zarr")
     k, count = (0, 1) if part is None else part_of_task() if part == "auto" else checked_part(part)
-    made = made_states(states, members)
+    maker = made_states(states, members)
     threads = None if threads is None else _checks.count("threads", threads, 1)
     chosen_devices = devices.checked_mesh(mesh)
     threads = threads or (devices.count_cores() if mesh is None else chosen_devices.size)
     with _checks.on_host():
         # in parts the states of one member stand for those of all, which each part makes for itself
-        chosen = range(0) if made is None else range(1 if count > 1 else made.members)
-        own, given = step, cast("State", states)
-        if made is not None:
-            own = jax.tree.map(lambda x: x[: len(chosen)], step) if own_step else step
-            own, given, _ = promoted(checked_step(own), made.make(chosen))
-        given, dtype = given if batch else with_member_axis(given), np.dtype(given.p.dtype)
-        check_inertias(own, own_step)
-        initial, is_shared = _checked_states(own, given, None if made is None else chosen)
-        clock, planned_steps = _make_clock(own, initial, is_shared, dtype, dt, num_steps, times)
+        chosen = range(0) if maker is None else range(1 if count > 1 else maker.members)
+        chosen_step, chosen_states = step, cast("State", states)
+        if maker is not None:
+            chosen_step = jax.tree.map(lambda x: x[: len(chosen)], step) if own_step else step
+            chosen_step, chosen_states, _ = promoted(checked_step(chosen_step), maker.make(chosen))
+        chosen_states = chosen_states if batch else with_member_axis(chosen_states)
+        dtype = np.dtype(chosen_states.p.dtype)
+        check_inertias(chosen_step, own_step)
+        initial, is_shared = _checked_states(chosen_step, chosen_states, None if maker is None else chosen)
+        clock, planned_steps = _make_clock(chosen_step, initial, is_shared, dtype, dt, num_steps, times)
         if save_at is None:
             interval, num_saves = intervals(planned_steps, save_every)
             _check_size(initial, num_saves + 1, reduce is not None, store)
             nodes, rests = interval * np.arange(num_saves + 1), None
             entries = np.asarray(clock.time(nodes if isinstance(clock, GridClock) else nodes.astype(dtype)))
         else:
-            refuse_times(own, "save_at")
+            refuse_times(chosen_step, "save_at")
             if save_every is not None or reduce is not None:
                 raise ValueError(f"pass save_at or {'save_every' if reduce is None else 'reduce'}, not both")
             interval = None
@@ -313,12 +314,12 @@ def make_plan(
             rests = entries - np.asarray(clock.time(nodes)).astype(dtype)
             _check_size(initial, len(entries), False, store)
         plan = Plan(
-            step=own,
+            step=chosen_step,
             states=initial,
             own_step=own_step,
             batch=batch,
             shared_time=is_shared,
-            make_states=made,
+            make_states=maker,
             clock=clock,
             dt=None if dt is None else float(dt),
             planned_steps=planned_steps,
@@ -340,11 +341,11 @@ def make_plan(
         )
         _check_members(plan, 0)
         _check_functions(plan)
-        _checks.time_resolution(None if own.own_time else initial.t, plan.first_dt, planned_steps)
-        if made is None or count == 1:
+        _checks.time_resolution(None if chosen_step.own_time else initial.t, plan.first_dt, planned_steps)
+        if maker is None or count == 1:
             return plan
-        whole = promoted(checked_step(step), given)[0]
-        repeated = jax.tree.map(lambda x: np.broadcast_to(np.asarray(x)[:1], (made.members, *x.shape[1:])), initial)
+        whole = promoted(checked_step(step), chosen_states)[0]
+        repeated = jax.tree.map(lambda x: np.broadcast_to(np.asarray(x)[:1], (maker.members, *x.shape[1:])), initial)
         return dataclasses.replace(plan, step=whole, states=repeated)
 
 
@@ -376,10 +377,10 @@ def check_own_steps(step: Step, members: int | None) -> None:
     """Raise ValueError unless all leaves of a step have a leading axis of so many members."""
     shapes = [np.shape(x) for x in jax.tree.leaves(checked_step(step))]
     if any(shape[:1] != (members,) for shape in shapes):
-        given = ", ".join(map(str, dict.fromkeys(shapes)))
+        got = ", ".join(map(str, dict.fromkeys(shapes)))
         raise ValueError(
             f"own_step=True needs a step for each of {members} members, made by jax.vmap, so that every leaf has a "
-            f"leading member axis; got leaves of shapes {given}"
+            f"leading member axis; got leaves of shapes {got}"
         )
 
 
@@ -399,9 +400,9 @@ def _check_reduction(reduce: object, per: object, first: object, over_saves: boo
         raise ValueError('per="member" is over all steps: give no save_every and no save_at')
 
 
-def _function(given: Reduction | None) -> Reduction | None:
+def _function(function: Reduction | None) -> Reduction | None:
     """A function of the user's, as a pytree if it has numbers."""
-    return given if given is None or jax.tree_util.all_leaves([given]) else callable_pytree(given)
+    return function if function is None or jax.tree_util.all_leaves([function]) else callable_pytree(function)
 
 
 def _check_size(states: State, entries: int, reduced: bool, store: object) -> None:
@@ -450,8 +451,8 @@ def _checked_states(step: Step, states: State, made: range | None) -> tuple[Stat
     counts = {shape[:1] for name, shape in shapes.items() if shape or name not in _SCALARS}
     short = [name for name in ("q", "p") if len(shapes[name]) < 2]
     if len(counts) != 1 or (0,) in counts or short or any(len(shapes.get(name, ())) > 1 for name in _SCALARS):
-        given = ", ".join(f"{_python_name(name)} {shape}" for name, shape in shapes.items())
-        raise ValueError(f"states need a leading member axis on every leaf, but t and work may be scalars; got {given}")
+        got = ", ".join(f"{_python_name(name)} {shape}" for name, shape in shapes.items())
+        raise ValueError(f"states need a leading member axis on every leaf, but t and work may be scalars; got {got}")
     [(members,)] = counts
     for name, x in leaves_by_name(states).items():
         bad = np.flatnonzero(~np.isfinite(np.asarray(x)).reshape(len(x) if x.ndim else 1, -1).all(axis=1))
@@ -508,9 +509,9 @@ def _value(name: str, function: Reduction, arguments: tuple[Step, State]) -> obj
         raise ValueError(f"{name} must be a function of two arguments, (step, state) ↦ scalar: {error}") from None
     except ValueError:  # a function without a signature
         pass
-    found: list[object] = []
-    jax.eval_shape(lambda step, state: found.append(function(step, state)), *arguments)  # pyright: ignore
-    return found[0]
+    values: list[object] = []
+    jax.eval_shape(lambda step, state: values.append(function(step, state)), *arguments)  # pyright: ignore
+    return values[0]
 
 
 def _check_condition(condition: Reduction, _: tuple[()], arguments: tuple[Step, State]) -> None:
@@ -526,9 +527,9 @@ def _check_result(reduction: Reduction, _: tuple[()], arguments: tuple[Step, Sta
     array = isinstance(value, Array | np.ndarray | np.generic)
     is_real = array and value.shape == () and jnp.issubdtype(value.dtype, jnp.floating)
     if not (is_real or isinstance(value, float)):
-        shown = f"{value.dtype} of shape {value.shape}" if array else repr(value)
+        got = f"{value.dtype} of shape {value.shape}" if array else repr(value)
         raise ValueError(
-            f"reduce must return a real floating-point scalar, got {shown}; return one component of a vector or "
+            f"reduce must return a real floating-point scalar, got {got}; return one component of a vector or "
             "its norm, and 1.0 * x for an integer x"
         )
 
