@@ -258,7 +258,7 @@ def stores(good):
     yield "attributes are a list", rooted(lambda root, *_: root | {"attributes": []})
     for text in ("", "{", "[]", "3", "[" * 100_000, "\xff", '{"attributes": {}}', '{"attributes": {"progress": 1}}'):
         yield f"root {text[:20]!r}", in_place_of("zarr.json", lambda file, text=text: file.write_text(text, "latin-1"))
-    for name in ("zarr.json", "q/zarr.json", "q/c/0/0/0", f"{constant}/c/0"):
+    for name in ("zarr.json", "q/zarr.json", "step/zarr.json", "q/c/0/0/0", f"{constant}/c/0"):
         yield f"no {name}", in_place_of(name, lambda _: None)
         yield f"{name} is a pipe", in_place_of(name, os.mkfifo)
         yield f"{name} is a device", in_place_of(name, lambda file: file.symlink_to("/dev/zero"))

@@ -136,8 +136,8 @@ class _Shown(_Model):
 
     @field_validator("metadata", mode="before")
     @classmethod
-    def _has_group(cls, nodes: Any) -> Any:
-        """The arrays among the nodes, which have one group, that of the step."""
+    def _arrays_of(cls, nodes: Any) -> Any:
+        """The arrays among the nodes; the only other node is the group of the step."""
         if not isinstance(nodes, dict) or nodes.get(STEP) != GROUP:
             raise ValueError(f"it has no group {STEP}")
         return {path: node for path, node in nodes.items() if path != STEP}

@@ -276,7 +276,7 @@ class Root:
 
 
 def nodes_of(metas: Mapping[str, ArrayMetadata]) -> dict[str, Table]:
-    """The metadata of the group of the step, and of the arrays of the complete run, by path."""
+    """The metadata of the group of the step, and of these arrays, by path."""
     return {STEP: GROUP} | {name: meta.to_json() for name, meta in metas.items()}
 
 
@@ -287,9 +287,8 @@ def encode_root(root: Table, metas: Mapping[str, ArrayMetadata]) -> bytes:
     """
     attributes = root["attributes"]
     entries = None if "parts" in attributes else attributes["progress"]["entries"]
-    shown = {name: (meta if entries is None else meta.of_length(entries)).to_json() for name, meta in metas.items()}
-    nodes = {STEP: GROUP, **shown}
-    root = root | {"consolidated_metadata": {"kind": "inline", "must_understand": False, "metadata": nodes}}
+    shown = nodes_of({name: meta if entries is None else meta.of_length(entries) for name, meta in metas.items()})
+    root = root | {"consolidated_metadata": {"kind": "inline", "must_understand": False, "metadata": shown}}
     return json.dumps(root | {"attributes": attributes | {"checksum": checksum(root)}}, indent=1).encode()
 
 
