@@ -63,10 +63,11 @@ class Clocks:
 
         self.seconds: dict[str, float] = dict.fromkeys(PARTS, 0.0)
         self.made = self.sync_of_making = math.nan  # when the output began, and the seconds of `sync` until then
-        timed: dict[str, tuple[Any, str]] = {"loop": (Engine, "run_intervals"), "waiting": (Writer, "wait")}
-        timed |= {"pack": (ArrayMetadata, "encode"), "write": (Disk, "stage"), "sync": (Disk, "settle")}
+        timed: dict[str, tuple[Any, Any]] = {"loop": (Engine, Engine.run_intervals), "waiting": (Writer, Writer.wait)}
+        timed |= {"pack": (ArrayMetadata, ArrayMetadata.encode), "write": (Disk, Disk.stage)}
+        timed |= {"sync": (Disk, Disk.settle)}
         self.patches = [
-            mock.patch.object(kind, method, self._timed(name, getattr(kind, method)))
+            mock.patch.object(kind, method.__name__, self._timed(name, method))
             for name, (kind, method) in timed.items()
         ]
         self.patches.append(mock.patch.object(StoreOutput, "__init__", self._noting(StoreOutput.__init__)))

@@ -39,7 +39,7 @@ def momentum(law, num_steps=60):
     return run.state.p[-1, 2], run.info.converged.all()
 
 
-@pytest.mark.parametrize("law", ["windowed", "thruster", pytest.param("wheel_motor", marks=pytest.mark.long)])
+@pytest.mark.parametrize("law", [pytest.param(x, marks=[pytest.mark.long] * (x == "wheel_motor")) for x in LAWS])
 def test_an_impulse_and_its_derivatives_by_the_ends_of_a_window_are_exact(law):
     """T(stop − start), −T and T: for ends within steps, at their boundaries, and both in one step; NaN for NaN."""
 
