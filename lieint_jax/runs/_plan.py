@@ -179,11 +179,11 @@ class Plan:
     def select(self, which: slice | np.ndarray) -> Plan:
         """The plan for some of the members."""
 
-        def of(x: Numbers) -> Numbers:
+        def rows_of_members(x: Numbers) -> Numbers:
             return devices.on_host(x)[which]
 
-        step = jax.tree.map(of, self.step) if self.own_step else self.step
-        return dataclasses.replace(self, step=step, states=jax.tree.map(of, self.states))
+        step = jax.tree.map(rows_of_members, self.step) if self.own_step else self.step
+        return dataclasses.replace(self, step=step, states=jax.tree.map(rows_of_members, self.states))
 
     def split(self) -> Split:
         """The members of the parts of the run, in whole chunks of its store."""
