@@ -49,15 +49,15 @@ def main() -> None:
     report.publish("gpu_kernels", [title, table], {"machine": title, "rows": rows}, options.out)
 
 
-def problems() -> dict[str, Callable[[], tuple[li.types.Step, Any]]]:
+def problems() -> dict[str, Callable[[], tuple[li.core.Step, Any]]]:
     """A step and a state by name."""
     spin, tilt = [0.3, 0.2, 1.0], np.array([0.9, 0.4, 0.1, 0.0])
 
-    def body(make: Callable[..., li.types.Step], *more: int) -> tuple[li.types.Step, Any]:
+    def body(make: Callable[..., li.core.Step], *more: int) -> tuple[li.core.Step, Any]:
         system = li.systems.rigid_body([1.0, 2.0, 3.0])
         return make(system, *more), system.state(angular_velocity=spin)
 
-    def top(make: Callable[..., li.types.Step], *more: int) -> tuple[li.types.Step, Any]:
+    def top(make: Callable[..., li.core.Step], *more: int) -> tuple[li.core.Step, Any]:
         system = li.systems.heavy_top([1.0, 1.0, 0.5], [0.0, 0.0, 1.0])
         return make(system, *more), system.state(tilt / np.linalg.norm(tilt), angular_velocity=spin)
 
@@ -91,7 +91,7 @@ def measured(quick: bool, only: list[str] | None, has_gpu: bool) -> Iterator[dic
             yield _whole_run(*problems()["free body"](), members, steps, has_gpu)
 
 
-def _states(step: li.types.Step, state: Any, members: int) -> Any:
+def _states(step: li.core.Step, state: Any, members: int) -> Any:
     """States whose momenta differ by a tenth."""
     states = jax.tree.map(lambda x: np.broadcast_to(np.asarray(x), (members, *np.shape(x))).copy(), step.start(state))
     return states._replace(p=states.p * np.linspace(0.95, 1.05, members, dtype=states.p.dtype)[:, None])

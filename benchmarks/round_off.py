@@ -49,9 +49,10 @@ def variants() -> dict[str, Callable[[Any, Any], Any]]:
     from lib import measure
 
     import lieint_jax as li
+    from lieint_jax._numerics import vectors
+    from lieint_jax.core import State
     from lieint_jax.groups import so3
     from lieint_jax.schemes._shared.half_rotation import half_cayley, scalar_root, scaled
-    from lieint_jax.types import State, vectors
 
     body, dt = measure.body(), measure.DT
     newton = li.schemes.so3_midpoint(body)
@@ -112,8 +113,8 @@ def _loop(name: str, watch: bool) -> Callable[..., Any]:
     from jax import lax
     from lib import measure
 
+    from lieint_jax.core import State
     from lieint_jax.runs import compiler_options
-    from lieint_jax.types import State
 
     step, body = variants()[name], measure.body()
 

@@ -34,7 +34,7 @@ A system and a scheme make a step; a step and states make a run.
 | `files`, `dates` | files that people bring and take away, and their dates |
 | `capabilities` | equations of motion, which systems inherit and schemes integrate |
 | `plots`, `report` | pictures and the report of a run |
-| `groups`, `maps`, `phase_spaces`, `types` | the mathematics below: groups, scalings κ, symplectic forms, states |
+| `groups`, `maps`, `phase_spaces`, `core` | the mathematics below: groups, scalings κ, symplectic forms, states |
 | `elliptic` | elliptic integrals and functions, with derivatives |
 | `scan`, `engine`, `explain` | `jax.lax.scan` in machine code, for your own loops; which engine runs a loop, and why |
 | `jit`, `cache_programs` | `jax.jit` that compiles sooner; compiled programs on disk for the next process |
@@ -51,6 +51,7 @@ from typing import TYPE_CHECKING
 from lieint_jax import (
     attitude,
     capabilities,
+    core,
     dates,
     diagnostics,
     elliptic,
@@ -67,11 +68,11 @@ from lieint_jax import (
     systems,
     tides,
     torques,
-    types,
 )
 from lieint_jax._cache import cache_programs
 from lieint_jax._version import __version__
 from lieint_jax._xla import jit
+from lieint_jax.core import State, Step, StepInfo, Trajectory, pytree, static
 from lieint_jax.diagnostics import equilibrium, normal_modes
 from lieint_jax.fitting import fit
 from lieint_jax.native import engine, explain, scan
@@ -93,7 +94,6 @@ from lieint_jax.runs import (
     transition,
 )
 from lieint_jax.runs import open_run as open  # noqa: A004
-from lieint_jax.types import State, Step, StepInfo, Trajectory, pytree, static
 
 if TYPE_CHECKING:
     from lieint_jax import plots, report
@@ -112,6 +112,7 @@ __all__ = [
     "attitude",
     "cache_programs",
     "capabilities",
+    "core",
     "count_cores",
     "dates",
     "diagnostics",
@@ -150,7 +151,6 @@ __all__ = [
     "tides",
     "torques",
     "transition",
-    "types",
 ]
 
 

@@ -66,13 +66,12 @@ import jax.numpy as jnp
 from jax import Array, lax
 from jax.typing import ArrayLike
 
-from lieint_jax._numerics import elliptic
+from lieint_jax._numerics import elliptic, vectors
+from lieint_jax._numerics.arrays import Inertia, PyTree, Quaternion, Vector3
 from lieint_jax._numerics.select import where
+from lieint_jax._numerics.vectors import Matrix, Vector, VectorLike, cross, dot, matrix, norm
 from lieint_jax._xla import forward_mode, jvp_of_varied, materialized
 from lieint_jax.groups import so3
-from lieint_jax.types import vectors
-from lieint_jax.types.shapes import Inertia, PyTree, Quaternion, Vector3
-from lieint_jax.types.vectors import Matrix, Vector, VectorLike, cross, dot, matrix, norm
 
 _Turns = list[tuple[int, Array]]
 _FAR = 1e7  # the ν from which Legendre's third integral is computed by its first term for large ν

@@ -24,14 +24,14 @@ import numpy as np
 from jax import Array
 
 from lieint_jax._checks import at_once, concrete, name_of
-from lieint_jax._numerics import power_series
+from lieint_jax._numerics import power_series, vectors
 from lieint_jax._numerics import small_linalg as la
+from lieint_jax._numerics.arrays import AlgebraMatrix, AlgebraVector, Flag, GroupElement, PyTree, Scalar
 from lieint_jax._numerics.select import where
+from lieint_jax.core import AnalyticGroup, Group, callable_pytree, pytree, static
 from lieint_jax.groups import MatrixGroup, so3
 from lieint_jax.groups.bases import ideals, units
 from lieint_jax.groups.closed_forms import squared_eigenvalue
-from lieint_jax.types import AnalyticGroup, Group, callable_pytree, pytree, static, vectors
-from lieint_jax.types.shapes import AlgebraMatrix, AlgebraVector, Flag, GroupElement, PyTree, Scalar
 
 __all__ = [
     "KAPPAS", "Kappa", "Map", "Tau", "arcsine", "arcsine_forms", "as_kappa", "as_tau", "axis_residual", "cayley",

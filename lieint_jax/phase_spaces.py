@@ -6,10 +6,11 @@ import jax
 import jax.numpy as jnp
 from jax import Array
 
+from lieint_jax._numerics import vectors
+from lieint_jax._numerics.arrays import DualVector, Matrix3, PhaseMatrix, PhaseVector, Scalar, Vector3
 from lieint_jax._xla import materialized
+from lieint_jax.core import Group, State, pytree, static
 from lieint_jax.groups import MatrixGroup, so3
-from lieint_jax.types import Group, State, pytree, static, vectors
-from lieint_jax.types.shapes import DualVector, Matrix3, PhaseMatrix, PhaseVector, Scalar, Vector3
 
 __all__ = [
     "ConfigurationGroup", "CotangentGroup", "CotangentMatrices", "CotangentMotions", "CotangentSphere",

@@ -18,9 +18,9 @@ import numpy as np
 
 from lieint_jax import schemes
 from lieint_jax.capabilities import AbstractManyBodies
+from lieint_jax.core import State, Step, energy_less_work
 from lieint_jax.diagnostics import Certificate, certify
 from lieint_jax.runs import Run
-from lieint_jax.types import State, Step, energy_less_work
 
 __all__ = ["Change", "Published", "Row", "certificate", "changes", "new_path", "text"]
 

@@ -21,8 +21,8 @@ from jax import Array
 from numpy.typing import ArrayLike
 
 from lieint_jax._checks import all_plain, concrete, for_each, host_array, named, positive, real_array
+from lieint_jax.core import Converted, PairLaw, argument, pytree
 from lieint_jax.potentials import Potential
-from lieint_jax.types import Converted, PairLaw, argument, pytree
 
 __all__ = ["LaggingTides", "PairLaw", "constant_lag", "constant_q", "double_synchronous"]
 

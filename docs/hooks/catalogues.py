@@ -1,12 +1,12 @@
 """Tables of what the package declares, where a page has a mark.
 
-`<!-- li.schemes.catalogue() -->`, that of the systems likewise, and `<!-- lieint_jax.types.shapes -->`.
+`<!-- li.schemes.catalogue() -->`, that of the systems likewise, and `<!-- lieint_jax._numerics.arrays -->`.
 """
 
 from typing import Annotated, get_args, get_origin
 
 import lieint_jax as li
-from lieint_jax.types import shapes
+from lieint_jax._numerics import arrays as shapes
 
 TABLES = {"schemes": li.schemes.catalogue, "systems": li.systems.catalogue}
 
@@ -17,7 +17,7 @@ def on_page_markdown(markdown, **_):
         mark = f"<!-- li.{name}.catalogue() -->"
         if mark in markdown:
             markdown = markdown.replace(mark, f"{catalogue().markdown()}\n\n{_literature(catalogue())}")
-    return markdown.replace("<!-- lieint_jax.types.shapes -->", _shapes())
+    return markdown.replace("<!-- lieint_jax._numerics.arrays -->", _shapes())
 
 
 def _literature(catalogue):

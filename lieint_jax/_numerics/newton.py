@@ -29,9 +29,9 @@ import jax.numpy as jnp
 from jax import Array, lax
 
 from lieint_jax._numerics import small_linalg as la
+from lieint_jax._numerics import vectors
+from lieint_jax._numerics.arrays import PyTree
 from lieint_jax._xla import saved
-from lieint_jax.types import vectors
-from lieint_jax.types.shapes import PyTree
 
 _USES = 3  # corrections with each matrix of `chords`; 2 or more
 _FEW = 4  # corrections of which every solve that comes to round-off is steady

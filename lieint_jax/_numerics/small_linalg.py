@@ -20,9 +20,9 @@ from jax import Array, lax
 from jax.typing import DTypeLike
 
 from lieint_jax import _xla
-from lieint_jax.types import vectors
-from lieint_jax.types.shapes import AlgebraVector, DualVector, PyTree
-from lieint_jax.types.vectors import is_constant, plus, times
+from lieint_jax._numerics import vectors
+from lieint_jax._numerics.arrays import AlgebraVector, DualVector, PyTree
+from lieint_jax._numerics.vectors import is_constant, plus, times
 
 Scalar = Any  # an array scalar, or a Python number
 Vector = Any  # a `vectors.Vector` of scalars, or an array (n,)

@@ -6,7 +6,7 @@ import inspect
 from collections.abc import Callable
 from typing import ClassVar, TypeVar
 
-from lieint_jax.types import System
+from lieint_jax.core import System
 
 _Function = TypeVar("_Function", bound=Callable[..., object])
 

@@ -5,12 +5,12 @@ from __future__ import annotations
 import jax.numpy as jnp
 from jax import Array
 
+from lieint_jax._numerics.arrays import Matrix3, Scalar
+from lieint_jax._numerics.vectors import Matrix, Symmetric, matrix, symmetric
 from lieint_jax.capabilities._capability import Capability, equation
+from lieint_jax.core import PhaseSpace, State, StoredEnergy
 from lieint_jax.groups import special_linear
 from lieint_jax.phase_spaces import CotangentMatrices, CotangentUnimodular
-from lieint_jax.types import PhaseSpace, State, StoredEnergy
-from lieint_jax.types.shapes import Matrix3, Scalar
-from lieint_jax.types.vectors import Matrix, Symmetric, matrix, symmetric
 
 _PHASE_SPACE = CotangentMatrices()
 

@@ -6,9 +6,9 @@ import abc
 
 from jax import Array
 
+from lieint_jax._numerics.arrays import Scalar, Time
 from lieint_jax.capabilities._capability import Capability, equation
-from lieint_jax.types import State, System, clock
-from lieint_jax.types.shapes import Scalar, Time
+from lieint_jax.core import State, System, clock
 
 
 class AbstractForcedSystem(Capability):

@@ -8,10 +8,10 @@ from typing import ClassVar, Literal
 import jax.numpy as jnp
 from jax import Array
 
+from lieint_jax._numerics.arrays import AlgebraVector, Time
 from lieint_jax.capabilities._capability import Capability, equation
+from lieint_jax.core import Group, State, clock
 from lieint_jax.phase_spaces import ConfigurationGroup
-from lieint_jax.types import Group, State, clock
-from lieint_jax.types.shapes import AlgebraVector, Time
 
 
 class AbstractKinematics(Capability):

@@ -8,12 +8,13 @@ import jax
 import jax.numpy as jnp
 from jax import Array
 
+from lieint_jax._numerics.arrays import AlgebraVector, DualVector, SquareMatrix
+from lieint_jax._numerics.gradients import autodiff_gradient
 from lieint_jax._numerics.small_linalg import sharp
 from lieint_jax.capabilities._capability import Capability, equation
 from lieint_jax.capabilities._forces import AbstractForcedSystem
+from lieint_jax.core import Group, State
 from lieint_jax.phase_spaces import CotangentGroup
-from lieint_jax.types import Group, State, autodiff_gradient
-from lieint_jax.types.shapes import AlgebraVector, DualVector, SquareMatrix
 
 
 class AbstractMetricSystem(Capability):

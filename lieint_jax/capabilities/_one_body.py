@@ -9,13 +9,13 @@ import jax
 import jax.numpy as jnp
 from jax import Array
 
+from lieint_jax._numerics.arrays import Flag, Matrix3, Scalar, Time, Vector3
+from lieint_jax._numerics.vectors import cross, dot, matrix, symmetric, vector
 from lieint_jax.capabilities._capability import Capability, equation
+from lieint_jax.core import Law, PhaseSpace, Rotation, State, clock, instant, parts
 from lieint_jax.groups import so3
 from lieint_jax.phase_spaces import CotangentGroup, EmbeddedRotations
 from lieint_jax.torques import internal_friction
-from lieint_jax.types import Law, PhaseSpace, Rotation, State, clock, instant, parts
-from lieint_jax.types.shapes import Flag, Matrix3, Scalar, Time, Vector3
-from lieint_jax.types.vectors import cross, dot, matrix, symmetric, vector
 
 _PHASE_SPACE, _EMBEDDED = CotangentGroup(so3), EmbeddedRotations()
 

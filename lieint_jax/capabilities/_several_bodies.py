@@ -11,14 +11,14 @@ import jax.numpy as jnp
 from jax import Array
 
 from lieint_jax import potentials
+from lieint_jax._numerics.arrays import Inertia, PoseMomenta, Poses, Positions, PyTree, Rotations, Scalar, Time
+from lieint_jax._numerics.vectors import symmetric
 from lieint_jax.capabilities._capability import Capability, equation
 from lieint_jax.capabilities._forces import AbstractForcedSystem
 from lieint_jax.capabilities._one_body import AbstractFreeBody
+from lieint_jax.core import ChainLaw, PhaseSpace, State, clock, pair_forces
 from lieint_jax.groups import so3
 from lieint_jax.phase_spaces import CotangentMotions
-from lieint_jax.types import ChainLaw, PhaseSpace, State, clock, pair_forces
-from lieint_jax.types.shapes import Inertia, PoseMomenta, Poses, Positions, PyTree, Rotations, Scalar, Time
-from lieint_jax.types.vectors import symmetric
 
 
 class AbstractManyBodies(Capability):

@@ -7,10 +7,11 @@ import abc
 import jax.numpy as jnp
 from jax import Array
 
+from lieint_jax._numerics.arrays import Scalar, Vector3
+from lieint_jax._numerics.gradients import autodiff_gradient
 from lieint_jax.capabilities._capability import Capability, equation
+from lieint_jax.core import State
 from lieint_jax.phase_spaces import CotangentSphere
-from lieint_jax.types import State, autodiff_gradient
-from lieint_jax.types.shapes import Scalar, Vector3
 
 _PHASE_SPACE = CotangentSphere()
 

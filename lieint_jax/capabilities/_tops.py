@@ -10,14 +10,15 @@ import jax
 import jax.numpy as jnp
 from jax import Array
 
-from lieint_jax._numerics.discrete_gradient import discrete_gradient as by_quadrature
+from lieint_jax._numerics.arrays import Quaternion, Scalar, Time, Vector3
+from lieint_jax._numerics.gradients import autodiff_gradient
+from lieint_jax._numerics.gradients import discrete_gradient as by_quadrature
+from lieint_jax._numerics.vectors import cross
 from lieint_jax.capabilities._capability import equation
 from lieint_jax.capabilities._forces import AbstractDrivenSystem, AbstractForcedSystem
 from lieint_jax.capabilities._one_body import AbstractRotatingBody
+from lieint_jax.core import gradient
 from lieint_jax.groups import so3
-from lieint_jax.types import autodiff_gradient, gradient
-from lieint_jax.types.shapes import Quaternion, Scalar, Time, Vector3
-from lieint_jax.types.vectors import cross
 
 
 class AbstractTop(AbstractForcedSystem, AbstractRotatingBody):

@@ -11,10 +11,10 @@ import tyro
 from lieint_jax.command import info
 from lieint_jax.command.plot import check_folder, check_replaceable, path_in_folder
 from lieint_jax.command.printer import show, show_written
+from lieint_jax.core import Trajectory
 from lieint_jax.plots import film, solids
 from lieint_jax.runs import store as archives
 from lieint_jax.runs.store import UnknownNameError
-from lieint_jax.types import Trajectory
 
 
 def animate(

@@ -14,11 +14,11 @@ import tyro
 
 from lieint_jax import _checks
 from lieint_jax.command.printer import show
+from lieint_jax.core import Trajectory, energy_less_work
 from lieint_jax.plots.runs import kinetic_energy, series
 from lieint_jax.runs import Run
 from lieint_jax.runs import store as archives
 from lieint_jax.runs.store import Address, UnreadableError, check_system, step_from_store
-from lieint_jax.types import Trajectory, energy_less_work
 
 _LINE = 400  # largest number of characters of a line with the numbers of parts
 _TIMES, _BLOCK = 17, 8192  # number of saved times at which energies are computed, and of members at once

@@ -11,10 +11,10 @@ import tyro
 from lieint_jax import plots, report
 from lieint_jax.command import info
 from lieint_jax.command.printer import show, show_written
+from lieint_jax.core import Trajectory
 from lieint_jax.plots.runs import pictures_of, reduced_change
 from lieint_jax.runs import store as archives
 from lieint_jax.runs.store import Address, UnknownNameError, Url
-from lieint_jax.types import Trajectory
 
 _SHOWN = 2**28  # largest number of bytes that are read from a store to draw it
 

@@ -16,14 +16,14 @@ from jax.typing import ArrayLike
 
 from lieint_jax import _checks
 from lieint_jax._xla import compiled, shapes_now
+from lieint_jax.core import State, Step, System, Trajectory, energy_less_work, start_time, time_derivative
+from lieint_jax.core.tangent import swinging
 from lieint_jax.diagnostics import _measure
 from lieint_jax.diagnostics._order import fitted_order, reversibility_of_run
 from lieint_jax.diagnostics._symplectic import dimensionless_defect
 from lieint_jax.diagnostics._thermal import ThermalCertificate, certify_thermostat
 from lieint_jax.groups import MatrixGroup, matrix
 from lieint_jax.runs import RunError, estimate
-from lieint_jax.types import State, Step, System, Trajectory, energy_less_work, start_time, time_derivative
-from lieint_jax.types.tangent import swinging
 
 if TYPE_CHECKING:
     from lieint_jax.schemes import Langevin

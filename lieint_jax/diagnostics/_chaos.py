@@ -25,11 +25,11 @@ from jax.typing import ArrayLike
 
 from lieint_jax import _checks, native
 from lieint_jax._checks import concrete
+from lieint_jax._numerics.arrays import PyTree, TangentVectors
 from lieint_jax._xla import compiled
+from lieint_jax.core import State, Step, StepInfo, checked_step, promoted
+from lieint_jax.core.tangent import orthonormalize, units_at_start
 from lieint_jax.runs import Event, counted, events, saves, step_at_node, uniform_clock
-from lieint_jax.types import State, Step, StepInfo, checked_step, promoted
-from lieint_jax.types.shapes import PyTree, TangentVectors
-from lieint_jax.types.tangent import orthonormalize, units_at_start
 
 
 class Lyapunov(NamedTuple):

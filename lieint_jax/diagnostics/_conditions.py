@@ -23,6 +23,7 @@ import jax
 import jax.numpy as jnp
 from jax import Array
 
+from lieint_jax._numerics.arrays import PyTree
 from lieint_jax.capabilities import (
     AbstractElasticBody,
     AbstractEmbeddedBody,
@@ -32,10 +33,9 @@ from lieint_jax.capabilities import (
     AbstractMechanicalSystem,
     AbstractTop,
 )
+from lieint_jax.core import State, Step, pytree, static
+from lieint_jax.core.tangent import size, swinging, value_and_jacobian
 from lieint_jax.groups import so3
-from lieint_jax.types import State, Step, pytree, static
-from lieint_jax.types.shapes import PyTree
-from lieint_jax.types.tangent import size, swinging, value_and_jacobian
 
 EQUATIONS = {
     "2.18": ("momentum", "π_{n+1} = π_n"),

@@ -19,10 +19,10 @@ import numpy as np
 from jax import Array
 
 from lieint_jax._xla import compiled
+from lieint_jax.core import State, System
+from lieint_jax.core.tangent import units_at_start
 from lieint_jax.groups import so3
 from lieint_jax.phase_spaces import CotangentGroup
-from lieint_jax.types import State, System
-from lieint_jax.types.tangent import units_at_start
 
 _Tree = TypeVar("_Tree")
 _ITERATIONS, _HALVINGS, _STAGES = 60, 12, 100

@@ -12,6 +12,7 @@ from jax import Array
 
 from lieint_jax import _checks
 from lieint_jax._xla import rereading_jit
+from lieint_jax.core import State
 from lieint_jax.diagnostics._series import energy_error
 from lieint_jax.diagnostics._symplectic import symplectic_defect
 from lieint_jax.groups import MatrixGroup
@@ -19,7 +20,6 @@ from lieint_jax.maps import Map
 from lieint_jax.runs import integrate
 from lieint_jax.schemes import group_midpoint
 from lieint_jax.systems import Euler
-from lieint_jax.types import State
 
 __all__ = ["GroupConservation", "group_conservation", "random_geodesic"]
 

@@ -6,9 +6,9 @@ import jax
 from jax import Array
 from jax.typing import ArrayLike
 
+from lieint_jax._numerics.arrays import Scalar
+from lieint_jax.core import State, Step, clock, promoted, time_derivative
 from lieint_jax.phase_spaces import ConfigurationGroup, CotangentGroup, CotangentUnimodular
-from lieint_jax.types import State, Step, clock, promoted, time_derivative
-from lieint_jax.types.shapes import Scalar
 
 
 def local_error(step: Step, state: State, dt: ArrayLike) -> Scalar:

@@ -8,8 +8,8 @@ from jax.typing import ArrayLike
 
 from lieint_jax import _checks
 from lieint_jax._checks import at_once, concrete
+from lieint_jax.core import State, Step, StepError, Trajectory, checked_step, promoted
 from lieint_jax.runs import clock_of, of_any_length, rows_for, trajectory
-from lieint_jax.types import State, Step, StepError, Trajectory, checked_step, promoted
 
 
 def run(step: Step, state: State, dt: Array, count: int, most: int, save_every: int = 1) -> Trajectory:

@@ -24,11 +24,12 @@ from jax import Array
 from jax.typing import ArrayLike
 
 from lieint_jax import _checks
+from lieint_jax._numerics import vectors
 from lieint_jax._xla import compiled
 from lieint_jax.capabilities import AbstractBodyInTime, AbstractDrivenSystem, AbstractGyrostat
+from lieint_jax.core import State, Step, checked_step, clock, energy_less_work, promoted
 from lieint_jax.groups import so3
 from lieint_jax.schemes import FreeFlight, GyrostatSplitting, SO3Midpoint, Splitting
-from lieint_jax.types import State, Step, checked_step, clock, energy_less_work, promoted, vectors
 
 _Scalar = Callable[[State], Array]
 _Field = Callable[[State], State]

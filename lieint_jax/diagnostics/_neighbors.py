@@ -7,10 +7,10 @@ import jax.numpy as jnp
 from jax import Array, lax
 
 from lieint_jax import _checks
+from lieint_jax.core import State, Step, System
+from lieint_jax.core.tangent import orthonormalize, units_at_start, value_and_jacobian
 from lieint_jax.diagnostics._order import flow
 from lieint_jax.runs import saves
-from lieint_jax.types import State, Step, System
-from lieint_jax.types.tangent import orthonormalize, units_at_start, value_and_jacobian
 
 __all__ = ["exponent_of_neighbors", "exponents_of_flow"]
 

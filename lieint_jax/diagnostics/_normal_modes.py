@@ -19,9 +19,9 @@ from jax import Array
 from numpy.typing import ArrayLike
 
 from lieint_jax._checks import concrete
+from lieint_jax.core import State, System, promoted
 from lieint_jax.diagnostics._critical_point import Derivatives, Problem, Spins, in_double, rounded
 from lieint_jax.diagnostics._equilibrium import Equilibrium, frame_of
-from lieint_jax.types import State, System, promoted
 
 _RANK = 1e-7  # of the dimension of a space: singular values below this part of the largest one count as 0
 

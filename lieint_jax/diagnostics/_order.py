@@ -14,12 +14,12 @@ from jax.typing import ArrayLike
 from lieint_jax import _checks
 from lieint_jax._checks import as_array, concrete, plain
 from lieint_jax._numerics import collocation
+from lieint_jax._numerics.arrays import Scalar
 from lieint_jax._xla import compiled
+from lieint_jax.core import State, Step, System, clock, time_derivative
+from lieint_jax.core.tangent import distance, scale_at, swinging
 from lieint_jax.diagnostics import _measure
 from lieint_jax.runs import steps
-from lieint_jax.types import State, Step, System, clock, time_derivative
-from lieint_jax.types.shapes import Scalar
-from lieint_jax.types.tangent import distance, scale_at, swinging
 
 _STAGES, _ITERATIONS = 8, 24
 

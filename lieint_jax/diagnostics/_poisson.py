@@ -10,6 +10,7 @@ from jax import Array, lax
 from jax.typing import ArrayLike
 
 from lieint_jax import _checks
+from lieint_jax._numerics.arrays import TimeSeries
 from lieint_jax._xla import compiled
 from lieint_jax.capabilities import (
     AbstractDampedBody,
@@ -17,10 +18,9 @@ from lieint_jax.capabilities import (
     AbstractRightGeodesicFlow,
     AbstractTorquedBody,
 )
+from lieint_jax.core import State, Step
 from lieint_jax.diagnostics._symplectic import linearization
 from lieint_jax.phase_spaces import CotangentGroup
-from lieint_jax.types import State, Step
-from lieint_jax.types.shapes import TimeSeries
 
 _Method = Literal["recursion", "product"]
 _OTHERS = (

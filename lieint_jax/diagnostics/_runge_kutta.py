@@ -11,10 +11,11 @@ import jax.numpy as jnp
 from jax import Array
 from jax.typing import ArrayLike
 
+from lieint_jax._numerics import vectors
+from lieint_jax.core import PhaseSpace, State, Step, StepInfo, System, pytree, static, time_derivative
 from lieint_jax.groups import so3
 from lieint_jax.phase_spaces import CotangentMotions
 from lieint_jax.runs import compiler_options, integrate
-from lieint_jax.types import PhaseSpace, State, Step, StepInfo, System, pytree, static, time_derivative, vectors
 
 __all__ = ["RungeKutta", "step_cost"]
 

@@ -5,10 +5,10 @@ from __future__ import annotations
 import jax.numpy as jnp
 
 from lieint_jax import _checks
+from lieint_jax._numerics.arrays import DelayPlot, InvariantSeries, MomentumSeries, TimeSeries
+from lieint_jax.core import System, Trajectory, energy_less_work
 from lieint_jax.runs import Run
-from lieint_jax.types import System, Trajectory, energy_less_work
-from lieint_jax.types.members import Axis, map_over_run
-from lieint_jax.types.shapes import DelayPlot, InvariantSeries, MomentumSeries, TimeSeries
+from lieint_jax.runs.members import Axis, map_over_run
 
 
 def energy_error(

@@ -8,10 +8,10 @@ import jax.numpy as jnp
 from jax import Array
 from jax.typing import ArrayLike
 
+from lieint_jax._numerics.arrays import PhaseMatrix, Scalar
 from lieint_jax._xla import compiled
-from lieint_jax.types import State, Step
-from lieint_jax.types.shapes import PhaseMatrix, Scalar
-from lieint_jax.types.tangent import units, value_and_jacobian
+from lieint_jax.core import State, Step
+from lieint_jax.core.tangent import units, value_and_jacobian
 
 
 def linearization(step: Step, state: State, dt: ArrayLike) -> PhaseMatrix:

@@ -13,11 +13,11 @@ from jax import Array
 
 from lieint_jax import _checks
 from lieint_jax._xla import compiled
+from lieint_jax.core import State, Step, Trajectory
+from lieint_jax.core.tangent import scale_at
 from lieint_jax.diagnostics import _measure
 from lieint_jax.diagnostics._order import reversibility_of_run
 from lieint_jax.diagnostics._symplectic import dimensionless_defect
-from lieint_jax.types import State, Step, Trajectory
-from lieint_jax.types.tangent import scale_at
 
 _BLOCKS = 20  # of a run, for the standard error of a mean
 

@@ -115,7 +115,7 @@ def defects(top, kappa, states, dt):
     step, omega = li.schemes.top_energy_momentum(top, kappa), top.phase_space.omega
 
     def defect(state):
-        end, info, L = li.types.push_forward(top.phase_space, lambda z: step(z, dt), state, jnp.eye(6))
+        end, info, L = li.core.push_forward(top.phase_space, lambda z: step(z, dt), state, jnp.eye(6))
         return L.T @ omega(end) @ L - omega(state), info.converged
 
     return jax.vmap(defect)(states)

@@ -60,7 +60,7 @@ def main(
     def begin(phase, rotation):
         later = body.solution(state, LATER + phase)
         attitude, momentum = so3.multiply(rotation, later.q), so3.Ad(rotation, later.p)
-        return li.types.State(attitude, momentum, jnp.asarray(-12.0), jnp.zeros(()))  # time 0 is the least distance
+        return li.core.State(attitude, momentum, jnp.asarray(-12.0), jnp.zeros(()))  # time 0 is the least distance
 
     states = jax.jit(jax.vmap(begin))(phases, rotations)
     run = li.run(step, states, 24 / steps, steps, save_every=steps, store=out, resume=resume)

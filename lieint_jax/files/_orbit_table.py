@@ -9,8 +9,8 @@ import numpy as np
 
 from lieint_jax import _checks, orbits
 from lieint_jax._text import Text
+from lieint_jax.core import pytree, static
 from lieint_jax.dates import Epoch
-from lieint_jax.types import pytree, static
 
 
 @pytree

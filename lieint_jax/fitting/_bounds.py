@@ -20,8 +20,8 @@ import numpy as np
 from jax import Array
 
 from lieint_jax._checks import all_plain, concrete, plain
+from lieint_jax._numerics.arrays import PyTree
 from lieint_jax.fitting._box import Box
-from lieint_jax.types.shapes import PyTree
 
 _INFINITE = float("inf")
 

@@ -10,7 +10,7 @@ import numpy as np
 from jax import Array
 from numpy.typing import ArrayLike
 
-from lieint_jax.types.shapes import PyTree
+from lieint_jax._numerics.arrays import PyTree
 
 _EDGE = 1e-6  # distance from a side over that of the first guess, below which a coordinate counts as at its bound
 _APPROACH = 0.999  # the part of the way to a side that a step may go

@@ -13,9 +13,9 @@ import jax
 import jax.numpy as jnp
 from jax import Array, lax
 
+from lieint_jax._numerics.arrays import PyTree
 from lieint_jax.fitting._box import Box
 from lieint_jax.fitting._search import FLAT, RUNNING, SHORTENINGS, STILL, STUCK, Carry, Method, where
-from lieint_jax.types.shapes import PyTree
 
 if TYPE_CHECKING:
     from optax import GradientTransformation

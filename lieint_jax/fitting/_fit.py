@@ -21,6 +21,7 @@ from jax.sharding import Mesh
 from numpy.typing import ArrayLike
 
 from lieint_jax import _checks
+from lieint_jax._numerics.arrays import PyTree
 from lieint_jax._xla import remembered
 from lieint_jax.fitting import _bounds
 from lieint_jax.fitting._box import Box
@@ -51,7 +52,6 @@ from lieint_jax.fitting._search import (
 )
 from lieint_jax.fitting._step_error import complaint, shift, with_halved_steps
 from lieint_jax.runs import over_members
-from lieint_jax.types.shapes import PyTree
 
 if TYPE_CHECKING:
     from optax import GradientTransformation

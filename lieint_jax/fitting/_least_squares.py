@@ -9,6 +9,7 @@ import jax
 import jax.numpy as jnp
 from jax import Array
 
+from lieint_jax._numerics.arrays import PyTree
 from lieint_jax.fitting._box import Box
 from lieint_jax.fitting._search import (
     BEYOND,
@@ -25,7 +26,6 @@ from lieint_jax.fitting._search import (
     where,
 )
 from lieint_jax.fitting._trust_region import Step, above_rounding, bounded_step, svd
-from lieint_jax.types.shapes import PyTree
 
 _FIRST = 0.1  # the first trust radius, over the size of the coordinates or of 1
 _ROUNDING = 8  # units of round-off that are negligible

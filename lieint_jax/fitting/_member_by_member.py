@@ -9,7 +9,7 @@ from jax import Array
 from jax.custom_batching import sequential_vmap
 from jax.flatten_util import ravel_pytree
 
-from lieint_jax.types.shapes import PyTree
+from lieint_jax._numerics.arrays import PyTree
 
 
 def member_by_member(function: Callable[[PyTree, PyTree], Array]) -> Callable[[PyTree, PyTree], Array]:

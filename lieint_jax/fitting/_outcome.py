@@ -10,8 +10,8 @@ import jax.numpy as jnp
 import numpy as np
 from jax.flatten_util import ravel_pytree
 
+from lieint_jax._numerics.arrays import PyTree
 from lieint_jax.fitting._search import BEYOND, GOOD, HIDDEN, NOWHERE, REASONS, RUNNING, STUCK
-from lieint_jax.types.shapes import PyTree
 
 Params = TypeVar("Params")  # a tree of arrays
 _Numbers = PyTree  # arrays of JAX at the end of a search, of numpy in its report

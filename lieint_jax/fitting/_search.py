@@ -12,8 +12,8 @@ from jax import Array
 from jax.flatten_util import ravel_pytree
 
 from lieint_jax._checks import dtype_of
-from lieint_jax.types import StepInfo
-from lieint_jax.types.shapes import PyTree
+from lieint_jax._numerics.arrays import PyTree
+from lieint_jax.core import StepInfo
 
 RUNNING, FLAT, STILL, SETTLED, TARGET, STUCK, NOWHERE, BEYOND, HIDDEN = range(9)
 REASONS = (

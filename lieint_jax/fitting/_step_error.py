@@ -7,9 +7,9 @@ from collections.abc import Callable
 import numpy as np
 from jax import Array
 
+from lieint_jax._numerics.arrays import PyTree
 from lieint_jax.fitting._search import residuals_of
 from lieint_jax.runs import halved_steps
-from lieint_jax.types.shapes import PyTree
 
 _NOTABLE = 0.2  # standard errors that the steps may move a parameter by
 _CURE = (

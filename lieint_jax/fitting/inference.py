@@ -23,12 +23,12 @@ from jax import Array
 from jax.flatten_util import ravel_pytree
 from jax.typing import ArrayLike
 
+from lieint_jax._numerics.arrays import PyTree
 from lieint_jax._xla import rereading_jit, shapes_now
 from lieint_jax.fitting._bounds import Bound, free, interval
 from lieint_jax.fitting._fit import fit
 from lieint_jax.fitting._outcome import Fit
 from lieint_jax.fitting._robust import DEGREES_OF_FREEDOM, student_t, student_t_curvature, student_t_noise_error
-from lieint_jax.types.shapes import PyTree
 
 __all__ = [
     "Coverage",

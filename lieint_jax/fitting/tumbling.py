@@ -7,10 +7,10 @@ import jax.numpy as jnp
 import numpy as np
 from jax import Array
 
+from lieint_jax.core import State
 from lieint_jax.fitting._bounds import principal_inertia
 from lieint_jax.groups import so3
 from lieint_jax.systems import RigidBody
-from lieint_jax.types import State
 
 __all__ = ["mean_periods", "model", "random_guesses", "rotate", "rotation_between"]
 

@@ -20,10 +20,10 @@ from numpy.typing import ArrayLike
 
 from lieint_jax._checks import host_array
 from lieint_jax._numerics import small_linalg as la
+from lieint_jax._numerics.arrays import AlgebraVector, DualVector, Flag, MomentumMap, PyTree, Scalar, SquareMatrix
+from lieint_jax._numerics.vectors import Matrix, Vector
 from lieint_jax._xla import materialized
 from lieint_jax.groups import _casimirs, bases, closed_forms
-from lieint_jax.types.shapes import AlgebraVector, DualVector, Flag, MomentumMap, PyTree, Scalar, SquareMatrix
-from lieint_jax.types.vectors import Matrix, Vector
 
 _UNROLLED_DIM, _UNROLLED_SIZE = 6, 5  # the largest groups that are unrolled by default, see `_numerics.small_linalg`
 _POWERS = 5  # the most powers of X in a closed form

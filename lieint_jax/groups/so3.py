@@ -11,11 +11,10 @@ import jax.numpy as jnp
 import numpy as np
 from jax import Array, lax
 
-from lieint_jax._numerics import power_series
+from lieint_jax._numerics import power_series, vectors
+from lieint_jax._numerics.arrays import Matrix3, MomentumMap, Quaternion, Scalar, Vector3
 from lieint_jax._numerics.select import where
-from lieint_jax.types import vectors
-from lieint_jax.types.shapes import Matrix3, MomentumMap, Quaternion, Scalar, Vector3
-from lieint_jax.types.vectors import cross, dot
+from lieint_jax._numerics.vectors import cross, dot
 
 dim = 3
 identity = np.array([1.0, 0.0, 0.0, 0.0])

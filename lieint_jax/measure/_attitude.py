@@ -10,7 +10,9 @@ from jax import Array
 from numpy.typing import ArrayLike
 
 from lieint_jax import _checks
+from lieint_jax._numerics import vectors
 from lieint_jax.capabilities import AbstractFreeBody, AbstractManyBodies, AbstractRotatingBody
+from lieint_jax.core import State, Step
 from lieint_jax.measure._series import mean_rate
 from lieint_jax.measure._states import (
     Directions,
@@ -26,7 +28,6 @@ from lieint_jax.measure._states import (
 )
 from lieint_jax.phase_spaces import frame
 from lieint_jax.runs import Run
-from lieint_jax.types import State, Step, vectors
 
 __all__ = ["MeasuredPeriods", "Pole", "periods", "pole", "rotation_rates", "tilt"]
 

@@ -12,10 +12,10 @@ from numpy.typing import ArrayLike
 
 from lieint_jax import _checks
 from lieint_jax._checks import host_array, plain
+from lieint_jax.core import State, Step
 from lieint_jax.groups import so3
 from lieint_jax.measure._states import count_bodies, series_of
 from lieint_jax.runs import Run
-from lieint_jax.types import State, Step
 
 __all__ = ["PairDensity", "distances", "pair_density"]
 

@@ -13,13 +13,14 @@ from jax.custom_derivatives import SymbolicZero
 from jax.typing import ArrayLike
 
 from lieint_jax import _checks
+from lieint_jax._numerics import vectors
+from lieint_jax._numerics.arrays import Scalar, Vector3
 from lieint_jax._xla import rereading_jit
+from lieint_jax.core import callable_pytree
 from lieint_jax.groups import so3
 from lieint_jax.measure._states import Directions, directions, map_run, rotate, rotation
 from lieint_jax.runs import Run
 from lieint_jax.shapes import Facets, GlossyFacets
-from lieint_jax.types import callable_pytree, vectors
-from lieint_jax.types.shapes import Scalar, Vector3
 
 __all__ = ["brightness", "glossy_brightness", "lambert", "light_curve"]
 

@@ -14,15 +14,16 @@ from jax import Array
 from numpy.typing import ArrayLike
 
 from lieint_jax import _checks
+from lieint_jax._numerics import vectors
+from lieint_jax._numerics.arrays import Vector3
 from lieint_jax.capabilities import AbstractSphereSystem, AbstractTop
+from lieint_jax.core import State, Step, System
 from lieint_jax.measure._series import mean_rate, unwrapped
 from lieint_jax.measure._spectrum import even_spacing
 from lieint_jax.measure._states import rotate, series_of, times_of
 from lieint_jax.phase_spaces import frame
 from lieint_jax.runs import Run
 from lieint_jax.systems import LinearPotential
-from lieint_jax.types import State, Step, System, vectors
-from lieint_jax.types.shapes import Vector3
 
 __all__ = ["Nutation", "nutation"]
 

@@ -10,10 +10,11 @@ import numpy as np
 from jax import Array
 
 from lieint_jax._checks import plain
+from lieint_jax._numerics import vectors
+from lieint_jax._numerics.arrays import Matrix3, Time, Vector3
+from lieint_jax.core import State, Step, clock
 from lieint_jax.measure._states import angles, principal_axes, rotation, series_of, system_of
 from lieint_jax.runs import Run
-from lieint_jax.types import State, Step, clock, vectors
-from lieint_jax.types.shapes import Matrix3, Time, Vector3
 
 __all__ = ["OrbitAngles", "orbit_angles", "orbit_axes"]
 

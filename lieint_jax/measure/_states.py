@@ -12,12 +12,13 @@ from jax.tree_util import Partial
 from numpy.typing import ArrayLike
 
 from lieint_jax import _checks
+from lieint_jax._numerics import vectors
+from lieint_jax._numerics.arrays import PyTree, Vector3
 from lieint_jax.capabilities import AbstractManyBodies, AbstractMetricSystem, AbstractRotatingBody, AbstractSphereSystem
+from lieint_jax.core import State, Step, System
 from lieint_jax.groups import so3, special_euclidean, special_orthogonal
 from lieint_jax.phase_spaces import frame
 from lieint_jax.runs import Run
-from lieint_jax.types import State, Step, System, vectors
-from lieint_jax.types.shapes import PyTree, Vector3
 
 Directions = ArrayLike | Callable[[Array], Array]  # one, one for each time, or a function of time
 

@@ -13,14 +13,14 @@ from jax.typing import ArrayLike
 
 from lieint_jax import _checks
 from lieint_jax._checks import concrete, named, not_negative, positive
+from lieint_jax._numerics.arrays import Calls
+from lieint_jax._numerics.vectors import cross, norm
+from lieint_jax.core import Converted, argument, callable_pytree, pytree
 from lieint_jax.orbits._earth import EARTH_RADIUS, EARTH_RATE, equatorial
 from lieint_jax.orbits._from_state import KeplerFromState
 from lieint_jax.orbits._kepler import Kepler, kepler
 from lieint_jax.orbits._secular import SecularJ2
 from lieint_jax.orbits._table import Table
-from lieint_jax.types import Converted, argument, callable_pytree, pytree
-from lieint_jax.types.shapes import Calls
-from lieint_jax.types.vectors import cross, norm
 
 __all__ = ["Air", "atmosphere"]
 

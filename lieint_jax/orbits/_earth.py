@@ -14,8 +14,8 @@ from jax import Array
 from jax.typing import ArrayLike
 
 from lieint_jax import _checks
+from lieint_jax._numerics.arrays import Calls
 from lieint_jax.dates import Epoch, are_julian_dates, epoch, julian_dates
-from lieint_jax.types.shapes import Calls
 
 __all__ = ["EARTH_GM", "EARTH_J2", "EARTH_RADIUS", "EARTH_RATE", "J2000", "earth_rotation_angle", "julian_date"]
 

@@ -11,12 +11,12 @@ from jax import Array
 from jax.typing import ArrayLike
 
 from lieint_jax import _checks
+from lieint_jax._numerics.arrays import Calls
+from lieint_jax._numerics.vectors import cross, dot, norm
+from lieint_jax.core import Converted, argument, callable_pytree, pytree
 from lieint_jax.groups import so3
 from lieint_jax.orbits._from_state import KeplerFromState
 from lieint_jax.orbits._kepler import Kepler, kepler
-from lieint_jax.types import Converted, argument, callable_pytree, pytree
-from lieint_jax.types.shapes import Calls
-from lieint_jax.types.vectors import cross, dot, norm
 
 __all__ = ["LocalFrame", "lvlh"]
 

@@ -11,11 +11,11 @@ from jax import Array, lax
 from jax.typing import ArrayLike
 
 from lieint_jax._checks import concrete, named, real_array
+from lieint_jax._numerics.arrays import Calls
+from lieint_jax._numerics.vectors import cross, dot, norm
+from lieint_jax.core import Converted, argument, pytree
 from lieint_jax.orbits._anomaly import elliptic_anomaly, hyperbolic_anomaly, less_sine, sinh_less, slope
 from lieint_jax.orbits._kepler import Kepler
-from lieint_jax.types import Converted, argument, pytree
-from lieint_jax.types.shapes import Calls
-from lieint_jax.types.vectors import cross, dot, norm
 
 __all__ = ["KeplerFromState", "from_state"]
 

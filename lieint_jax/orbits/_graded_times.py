@@ -12,9 +12,9 @@ import numpy as np
 from jax import Array
 
 from lieint_jax import _checks
+from lieint_jax._numerics.arrays import Calls
+from lieint_jax.core import callable_pytree
 from lieint_jax.orbits._kepler import kepler
-from lieint_jax.types import callable_pytree
-from lieint_jax.types.shapes import Calls
 
 __all__ = ["graded_times"]
 

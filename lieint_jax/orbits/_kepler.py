@@ -20,10 +20,10 @@ from jax.typing import ArrayLike
 
 from lieint_jax import _checks
 from lieint_jax._checks import concrete
+from lieint_jax._numerics.arrays import Calls
+from lieint_jax._numerics.vectors import dot
+from lieint_jax.core import pytree, static
 from lieint_jax.orbits._anomaly import Function, elliptic_anomaly, hyperbolic_anomaly, slope
-from lieint_jax.types import pytree, static
-from lieint_jax.types.shapes import Calls
-from lieint_jax.types.vectors import dot
 
 __all__ = ["Kepler", "encounter_speed", "hyperbola", "kepler"]
 

@@ -14,13 +14,13 @@ from jax.typing import ArrayLike
 
 from lieint_jax import _checks
 from lieint_jax._checks import positive
+from lieint_jax._numerics.arrays import Calls
+from lieint_jax._numerics.vectors import dot
+from lieint_jax.core import callable_pytree, pytree
 from lieint_jax.dates import Epoch
 from lieint_jax.orbits._air import above_ground
 from lieint_jax.orbits._earth import J2000, days_since_j2000, julian_date, rotation_of_earth
 from lieint_jax.orbits._kepler import kepler
-from lieint_jax.types import callable_pytree, pytree
-from lieint_jax.types.shapes import Calls
-from lieint_jax.types.vectors import dot
 
 __all__ = ["earth_field"]
 

@@ -11,11 +11,11 @@ from jax.typing import ArrayLike
 
 from lieint_jax import _checks
 from lieint_jax._checks import concrete
+from lieint_jax._numerics.arrays import Calls
+from lieint_jax._numerics.vectors import cross
+from lieint_jax.core import pytree, static
 from lieint_jax.orbits._earth import EARTH_J2, EARTH_RADIUS
 from lieint_jax.orbits._kepler import Kepler, kepler
-from lieint_jax.types import pytree, static
-from lieint_jax.types.shapes import Calls
-from lieint_jax.types.vectors import cross
 
 __all__ = ["SecularJ2", "secular_j2"]
 

@@ -12,10 +12,10 @@ import numpy as np
 from jax import Array
 from jax.typing import ArrayLike
 
+from lieint_jax._numerics.arrays import Calls
 from lieint_jax._xla import rereading_jit
+from lieint_jax.core import pytree, static
 from lieint_jax.orbits._kepler import kepler
-from lieint_jax.types import pytree, static
-from lieint_jax.types.shapes import Calls
 
 __all__ = ["shared"]
 

@@ -12,14 +12,14 @@ from jax.typing import ArrayLike
 
 from lieint_jax import _checks
 from lieint_jax._checks import named, positive
+from lieint_jax._numerics.arrays import Calls
+from lieint_jax._numerics.vectors import cross, dot, norm
+from lieint_jax.core import Converted, argument, callable_pytree, pytree, static
 from lieint_jax.dates import Epoch
 from lieint_jax.orbits._air import above_ground
 from lieint_jax.orbits._anomaly import less_sine
 from lieint_jax.orbits._earth import EARTH_RADIUS, days_since_j2000
 from lieint_jax.orbits._kepler import kepler
-from lieint_jax.types import Converted, argument, callable_pytree, pytree, static
-from lieint_jax.types.shapes import Calls
-from lieint_jax.types.vectors import cross, dot, norm
 
 __all__ = ["Eclipse", "eclipse", "sun_direction"]
 

@@ -13,9 +13,9 @@ from jax.typing import ArrayLike
 
 from lieint_jax import _checks
 from lieint_jax._checks import concrete, plain
+from lieint_jax._numerics.arrays import Calls
 from lieint_jax._numerics.lookup import increasing_times, interval
-from lieint_jax.types import pytree
-from lieint_jax.types.shapes import Calls
+from lieint_jax.core import pytree
 
 __all__ = ["Table", "VectorTable", "table", "vector_table"]
 

@@ -16,10 +16,10 @@ from jax import Array, lax
 from lieint_jax import _checks
 from lieint_jax._checks import named, positive
 from lieint_jax._numerics import newton
+from lieint_jax._numerics.arrays import Calls, Positions, Rotations, Scalar
 from lieint_jax._numerics.elliptic import carlson_rf_rd
+from lieint_jax.core import Converted, argument, pytree
 from lieint_jax.potentials._potential import Potential
-from lieint_jax.types import Converted, argument, pytree
-from lieint_jax.types.shapes import Calls, Positions, Rotations, Scalar
 
 __all__ = ["ellipsoid_sphere"]
 

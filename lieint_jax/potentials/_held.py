@@ -12,11 +12,11 @@ from jax import Array
 
 from lieint_jax import _checks
 from lieint_jax._checks import concrete, named
+from lieint_jax._numerics.arrays import Calls, PoseMomenta, Positions, Rotations, Scalar
+from lieint_jax.core import Converted, argument, callable_pytree, pytree, with_fields
 from lieint_jax.groups import so3
 from lieint_jax.potentials._potential import Potential
 from lieint_jax.potentials._rod import rod
-from lieint_jax.types import Converted, argument, callable_pytree, pytree, with_fields
-from lieint_jax.types.shapes import Calls, PoseMomenta, Positions, Rotations, Scalar
 
 __all__ = ["Held", "held"]
 

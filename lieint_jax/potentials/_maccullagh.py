@@ -9,10 +9,11 @@ import numpy as np
 from jax import Array
 
 from lieint_jax._checks import named, of_shapes, real_array
+from lieint_jax._numerics import vectors
+from lieint_jax._numerics.arrays import Calls, PoseMomenta, Positions, Rotations, Scalar
 from lieint_jax._xla import materialized
+from lieint_jax.core import Converted, argument, pytree
 from lieint_jax.potentials._potential import Potential
-from lieint_jax.types import Converted, argument, pytree, vectors
-from lieint_jax.types.shapes import Calls, PoseMomenta, Positions, Rotations, Scalar
 
 __all__ = ["MacCullagh", "maccullagh"]
 

@@ -10,9 +10,9 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from lieint_jax import _checks
+from lieint_jax._numerics.arrays import Calls
 from lieint_jax.potentials._potential import Potential
 from lieint_jax.potentials._site_pairs import sites
-from lieint_jax.types.shapes import Calls
 
 __all__ = ["molecule", "water"]
 

@@ -23,10 +23,10 @@ from jax import Array
 from jax.typing import ArrayLike
 
 from lieint_jax import _checks
+from lieint_jax._numerics.arrays import Calls
+from lieint_jax.core import pytree, static
 from lieint_jax.potentials._potential import Potential
 from lieint_jax.shapes import Shape, box, ellipsoid, trace_free
-from lieint_jax.types import pytree, static
-from lieint_jax.types.shapes import Calls
 
 __all__ = ["mutual_gravity"]
 

@@ -14,10 +14,10 @@ from jax.tree_util import Partial
 from numpy.typing import ArrayLike
 
 from lieint_jax import _checks
+from lieint_jax._numerics.arrays import Calls, Positions, Rotations, Scalar
+from lieint_jax.core import callable_pytree, pytree, static
 from lieint_jax.potentials._potential import Potential
 from lieint_jax.potentials._site_pairs import group_sites, site_positions
-from lieint_jax.types import callable_pytree, pytree, static
-from lieint_jax.types.shapes import Calls, Positions, Rotations, Scalar
 
 __all__ = ["outer_field", "uniform_field"]
 

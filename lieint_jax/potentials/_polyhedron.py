@@ -25,11 +25,12 @@ from jax.custom_derivatives import SymbolicZero
 from jax.typing import ArrayLike
 
 from lieint_jax import _checks, shapes
+from lieint_jax._numerics import vectors
+from lieint_jax._numerics.arrays import Calls, PoseMomenta, Positions, Rotations, Scalar
 from lieint_jax._xla import compiled
+from lieint_jax.core import pytree
 from lieint_jax.potentials._potential import Potential, relative
 from lieint_jax.shapes import Shape, trace_free
-from lieint_jax.types import pytree, vectors
-from lieint_jax.types.shapes import Calls, PoseMomenta, Positions, Rotations, Scalar
 
 __all__ = ["PolyhedronGravity", "polyhedron"]
 

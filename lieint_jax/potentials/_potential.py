@@ -12,9 +12,9 @@ from jax.tree_util import Partial
 from jax.typing import ArrayLike
 
 from lieint_jax._checks import all_plain
-from lieint_jax._numerics.discrete_gradient import discrete_gradient
-from lieint_jax.types import Partitioned, State, autodiff_gradient, callable_pytree, clock, pytree
-from lieint_jax.types.shapes import Calls, PoseMomenta, Positions, Rotations, Scalar
+from lieint_jax._numerics.arrays import Calls, PoseMomenta, Positions, Rotations, Scalar
+from lieint_jax._numerics.gradients import autodiff_gradient, discrete_gradient
+from lieint_jax.core import Partitioned, State, callable_pytree, clock, pytree
 
 __all__ = [
     "Potential",

@@ -30,12 +30,13 @@ from jax import Array, lax
 from numpy.typing import ArrayLike
 
 from lieint_jax import _checks
+from lieint_jax._numerics import vectors
+from lieint_jax._numerics.arrays import Calls, PoseMomenta, Poses, Positions, Rotations, Scalar
 from lieint_jax._numerics.power_series import stumpff
 from lieint_jax._xla import compiled
+from lieint_jax.core import pytree, static
 from lieint_jax.groups import so3
 from lieint_jax.potentials._potential import Potential
-from lieint_jax.types import pytree, static, vectors
-from lieint_jax.types.shapes import Calls, PoseMomenta, Poses, Positions, Rotations, Scalar
 
 __all__ = ["Rod", "rod"]
 

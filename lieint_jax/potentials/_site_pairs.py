@@ -18,9 +18,9 @@ from jax.typing import ArrayLike
 
 from lieint_jax import _checks
 from lieint_jax._checks import concrete
+from lieint_jax._numerics.arrays import Calls, Positions, Rotations, Scalar
+from lieint_jax.core import pytree, static
 from lieint_jax.potentials._potential import Potential
-from lieint_jax.types import pytree, static
-from lieint_jax.types.shapes import Calls, Positions, Rotations, Scalar
 
 __all__ = ["lennard_jones", "point_charges", "point_masses", "sites"]
 

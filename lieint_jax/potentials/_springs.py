@@ -10,9 +10,9 @@ import numpy as np
 from jax import Array
 
 from lieint_jax._checks import for_each, named, not_negative, real_array
+from lieint_jax._numerics.arrays import Calls, Positions, Rotations, Scalar
+from lieint_jax.core import Converted, argument, pytree, static
 from lieint_jax.potentials._potential import Potential
-from lieint_jax.types import Converted, argument, pytree, static
-from lieint_jax.types.shapes import Calls, Positions, Rotations, Scalar
 
 __all__ = ["Springs", "springs"]
 

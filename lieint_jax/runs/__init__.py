@@ -4,6 +4,8 @@
 disk.
 """
 
+from lieint_jax import native
+from lieint_jax.core import Step
 from lieint_jax.runs import store
 from lieint_jax.runs._adjoints import RecursiveCheckpointAdjoint, ReversibleAdjoint
 from lieint_jax.runs._clock import (
@@ -43,6 +45,8 @@ from lieint_jax.runs._storage.storage import StoreOptions
 from lieint_jax.runs._submit import Executor, LostWorkerError, PermanentError, submit
 from lieint_jax.runs._summary import Summary
 from lieint_jax.runs._transition import Ellipse, Transition, transition
+
+Step.loop_in_shards = staticmethod(native.scan)  # the core does not import the compiler
 
 __all__ = [
     "Ellipse",

@@ -26,13 +26,13 @@ from jax import Array, lax
 from jax.typing import ArrayLike
 
 from lieint_jax import _checks, native
+from lieint_jax._numerics.arrays import PyTree
 from lieint_jax._xla import compiled, rereading_jit, with_common_axes
+from lieint_jax.core import State, Step
+from lieint_jax.core.tangent import distance
 from lieint_jax.runs._clock import Clock, GridClock, UniformClock, is_inside, uniform_clock
 from lieint_jax.runs._driver import Reached, at_start, counted, reported
 from lieint_jax.schemes import Composition
-from lieint_jax.types import State, Step
-from lieint_jax.types.shapes import PyTree
-from lieint_jax.types.tangent import distance
 
 
 @dataclasses.dataclass(frozen=True)

@@ -12,7 +12,7 @@ import jax
 import numpy as np
 
 from lieint_jax import _checks
-from lieint_jax.types import State, Step
+from lieint_jax.core import State, Step
 
 _F = TypeVar("_F", bound=Callable[..., Any])
 _END = "num_steps, such as round(t_end / dt), or times"

@@ -16,7 +16,7 @@ from jax.typing import ArrayLike
 
 from lieint_jax import _checks
 from lieint_jax._checks import concrete
-from lieint_jax.types import State, Step, converges, counts_work
+from lieint_jax.core import State, Step, converges, counts_work
 
 
 def _times(n: ArrayLike, dt: Array) -> Array:

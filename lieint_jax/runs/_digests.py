@@ -29,7 +29,7 @@ from jax.typing import ArrayLike
 
 from lieint_jax import native
 from lieint_jax._checks import concrete
-from lieint_jax.types import State, leaves_by_name
+from lieint_jax.core import State, leaves_by_name
 
 Program = Any  # a `Jaxpr` or a `ClosedJaxpr`
 _NOT_COMPARABLE = "cannot be compared: "  # begins the reason that stands in place of a digest

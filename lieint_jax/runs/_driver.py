@@ -18,8 +18,8 @@ from jax.typing import ArrayLike
 
 from lieint_jax import native
 from lieint_jax._xla import rematerialized, with_common_mesh
+from lieint_jax.core import State, Step, StepInfo, Trajectory
 from lieint_jax.runs._clock import Clock, GridClock, at_time, uniform_clock
-from lieint_jax.types import State, Step, StepInfo, Trajectory
 
 Tree = Any  # a tree of arrays
 _Carry = TypeVar("_Carry")

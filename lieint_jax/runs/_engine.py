@@ -17,6 +17,7 @@ import numpy as np
 
 from lieint_jax import native
 from lieint_jax._xla import reads
+from lieint_jax.core import State, Step
 from lieint_jax.native import UnsupportedError, computed_by, unsupported_if_it_fails, warn_once
 from lieint_jax.runs import _devices as devices
 from lieint_jax.runs import _loop as loop
@@ -26,7 +27,6 @@ from lieint_jax.runs._digests import OfMember, digest_or_reason
 from lieint_jax.runs._driver import prepared
 from lieint_jax.runs._loop import Axes, Carry, Given, MemberLoop, Reduction, Span
 from lieint_jax.runs._plan import Plan
-from lieint_jax.types import State, Step
 
 _log = logging.getLogger(__name__)
 _FEW = 3  # members that are compared

@@ -6,8 +6,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from lieint_jax.types import State
-from lieint_jax.types.record import record
+from lieint_jax.core import State
+from lieint_jax.core.record import record
 
 _UNITS = {"attitude": "rad", "position": "in the unit of length", "q": "", "p": "of the largest momentum"}
 _TURNED = 2.0  # rad: an error of a phase that has exceeded it may be larger by full turns

@@ -19,11 +19,11 @@ from lieint_jax import _checks
 from lieint_jax._checks import concrete, stands_alone
 from lieint_jax._numerics.sign_change import is_root, sign_change
 from lieint_jax._xla import compiled
+from lieint_jax.core import State, Step, callable_pytree, checked_step, promoted, start_time
+from lieint_jax.core import clock as time_of
+from lieint_jax.core.record import record
 from lieint_jax.runs._clock import MOST_COUNTED, Clock, at_time, clock_of, halved, splits
 from lieint_jax.runs._driver import Reached, at_start, counted, prepared, reported, scanned
-from lieint_jax.types import State, Step, callable_pytree, checked_step, promoted, start_time
-from lieint_jax.types import clock as time_of
-from lieint_jax.types.record import record
 
 _RIGHT_TO = {4: 3e-4, 8: 1e-9}  # an event's time, in Δt, by the bytes of a number
 _RIGHT_TO_UNDERFLOW = 1e-5  # where the condition is so small that it underflows nearer to its root

@@ -16,6 +16,7 @@ from typing import Self
 import numpy as np
 
 from lieint_jax import _checks
+from lieint_jax.core import System
 from lieint_jax.runs import _devices as devices
 from lieint_jax.runs._clock import GridClock, more_times
 from lieint_jax.runs._devices import Numbers
@@ -26,7 +27,6 @@ from lieint_jax.runs._plan import MAX_NAMED, Plan, list_members
 from lieint_jax.runs._storage.leaves import Saves
 from lieint_jax.runs.store._into_store import run_into_store
 from lieint_jax.runs.store._store_output import StoreOutput
-from lieint_jax.types import System
 
 _CALL = 0.5  # target duration of a call of the compiled loop, s
 

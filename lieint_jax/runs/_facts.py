@@ -15,10 +15,10 @@ from lieint_jax import dates
 from lieint_jax._checks import concrete
 from lieint_jax._version import __version__
 from lieint_jax._xla import remembered, rereading_jit
+from lieint_jax.core import State, Step, Trajectory, leaves_by_name
 from lieint_jax.runs._plan import Plan, list_members
 from lieint_jax.runs._storage.leaves import Table
 from lieint_jax.runs._summary import MemberSummary
-from lieint_jax.types import State, Step, Trajectory, leaves_by_name, periods_of
 
 _version = cache(version)  # which reads a file
 _SHOWN = ("lieint_jax", "jax")  # packages whose versions are listed
@@ -169,7 +169,10 @@ def defect(step: Step, state: State) -> Array:
 
 def periods(step: Any, state: State) -> Any:
     """The periods of a tumbling body."""
-    return periods_of(step.system, state)
+    body = step.system
+    if not hasattr(body, "periods"):
+        raise ValueError(f"the system of the run must have periods, as bodies on T*SO(3) do; got {body!r}")
+    return body.periods(state)
 
 
 def from_start(series: Array) -> Array:

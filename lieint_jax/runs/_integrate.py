@@ -16,6 +16,7 @@ from jax.typing import ArrayLike
 from lieint_jax import _checks, native
 from lieint_jax._checks import concrete
 from lieint_jax._xla import compiled
+from lieint_jax.core import State, Step, StepError, StepInfo, Trajectory, checked_step, promoted, start_time
 from lieint_jax.runs._adjoints import Adjoint, ReversibleAdjoint, check_undoable, undoable, undoable_at
 from lieint_jax.runs._arguments import check_inertias, explained
 from lieint_jax.runs._clock import (
@@ -35,7 +36,6 @@ from lieint_jax.runs._clock import (
     steps_to_reach,
 )
 from lieint_jax.runs._driver import Reached, at_start, join_start, prepared, saved_states
-from lieint_jax.types import State, Step, StepError, StepInfo, Trajectory, checked_step, promoted, start_time
 
 _LEAST_BYTES, _MOST_BYTES = 2**20, 2**26  # of the saved states that the loop of a run is compiled for
 _SHORT = 256  # runs up to this length are computed before their first step is checked

@@ -16,9 +16,9 @@ from numpy.typing import ArrayLike
 from lieint_jax import _checks
 from lieint_jax._checks import concrete
 from lieint_jax._xla import compiled
+from lieint_jax.core import SpaceWithUnits, State, System, Trajectory, time_derivative
 from lieint_jax.runs._clock import power_of_two
-from lieint_jax.types import SpaceWithUnits, State, System, Trajectory, time_derivative
-from lieint_jax.types.members import axes
+from lieint_jax.runs.members import axes
 
 _T = TypeVar("_T")
 _FEW = 64  # times in a trajectory of one body, which cost less than to compile again

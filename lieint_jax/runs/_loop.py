@@ -16,11 +16,11 @@ from jax.extend.core import jaxpr_as_fun
 
 from lieint_jax import native
 from lieint_jax._xla import compiled, remembered, rereading_jit
+from lieint_jax.core import State, Step, StepInfo, energy_less_work
 from lieint_jax.runs._clock import Clock, at_time
 from lieint_jax.runs._devices import Numbers, Tree, on_host
 from lieint_jax.runs._digests import OfMember
 from lieint_jax.runs._driver import prepared
-from lieint_jax.types import State, Step, StepInfo, energy_less_work
 
 Reduction = Callable[[Step, State], Array]
 Axes = Any  # the member axes of a function's arguments, as in `jax.vmap`

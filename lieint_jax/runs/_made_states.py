@@ -9,8 +9,8 @@ import jax
 import numpy as np
 
 from lieint_jax import _checks
+from lieint_jax.core import State
 from lieint_jax.runs._digests import digest_of_arrays, digest_of_programs, digest_of_states
-from lieint_jax.types import State
 
 MakeStates = Callable[[np.ndarray], State]  # of the members of these numbers
 BLOCK = 2**16  # members whose states are made in one call

@@ -12,6 +12,7 @@ from jax.sharding import Mesh
 from numpy.typing import ArrayLike
 
 from lieint_jax import _checks
+from lieint_jax.core import State, Step, Trajectory
 from lieint_jax.dates import DateLike
 from lieint_jax.runs._arguments import explained
 from lieint_jax.runs._loop import Reduction
@@ -21,7 +22,6 @@ from lieint_jax.runs._run import Run, run_of_plan, stored_run
 from lieint_jax.runs._storage.storage import StoreOptions, address
 from lieint_jax.runs._summary import MemberSummary, Summary
 from lieint_jax.runs.store._reading import open_with_step
-from lieint_jax.types import State, Step, Trajectory
 
 _F = TypeVar("_F", bound=Callable[..., Any])
 

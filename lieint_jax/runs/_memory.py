@@ -8,13 +8,13 @@ from typing import Any
 import jax
 import numpy as np
 
+from lieint_jax.core import State
 from lieint_jax.runs._clock import power_of_two
 from lieint_jax.runs._made_states import MakeStates, made_states
 from lieint_jax.runs._part_of_task import checked_part
 from lieint_jax.runs._plan import chunk_members, rows_of_call
 from lieint_jax.runs._storage.storage import StoreOptions, Url, address
 from lieint_jax.runs.store._store_output import SLAB
-from lieint_jax.types import State
 
 _CARRIES = 6  # copies of a part's carry: of the loop, and while states are made and checked
 _ENCODED = 2  # more of them while a store encodes one

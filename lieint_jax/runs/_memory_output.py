@@ -7,6 +7,7 @@ from typing import Any
 import jax
 import numpy as np
 
+from lieint_jax.core import StepInfo, Trajectory
 from lieint_jax.runs import _devices as devices
 from lieint_jax.runs import _loop as loop
 from lieint_jax.runs._devices import Tree
@@ -15,7 +16,6 @@ from lieint_jax.runs._loop import Carry
 from lieint_jax.runs._plan import Plan
 from lieint_jax.runs._storage.leaves import Saves
 from lieint_jax.runs._summary import MemberSummary, Series, Summary
-from lieint_jax.types import StepInfo, Trajectory
 
 
 def first_rows(plan: Plan, carry: Carry) -> Tree | Series:

@@ -18,6 +18,7 @@ from numpy.typing import ArrayLike
 
 from lieint_jax import _checks
 from lieint_jax._xla import reads, rereading_jit
+from lieint_jax.core import PhaseSpace, State, Step, callable_pytree, checked_step, leaves_by_name, promoted
 from lieint_jax.dates import DateLike, text_of
 from lieint_jax.native import make_once
 from lieint_jax.runs import _devices as devices
@@ -31,8 +32,7 @@ from lieint_jax.runs._split import Split
 from lieint_jax.runs._storage.leaves import shared_time
 from lieint_jax.runs._storage.storage import StoreOptions, Url, address
 from lieint_jax.runs._summary import SERIES, with_member_axis
-from lieint_jax.types import PhaseSpace, State, Step, callable_pytree, checked_step, leaves_by_name, promoted
-from lieint_jax.types.members import member_axis
+from lieint_jax.runs.members import member_axis
 
 _CHUNK_BYTES, _BUFFER_BYTES = 2**22, 2**28  # the most bytes in a chunk on disk, and in the buffer of all members' saves
 _CHUNK_WORK = 2e8  # the most body-steps between two writes, unless one save interval has more

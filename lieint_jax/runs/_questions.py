@@ -7,8 +7,8 @@ from typing import Any
 import jax
 from jax import Array
 
+from lieint_jax.core import State, Step
 from lieint_jax.groups import so3
-from lieint_jax.types import State, Step
 
 
 def hamiltonian(step: Step, state: State) -> Array:

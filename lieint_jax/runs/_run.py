@@ -18,7 +18,20 @@ from numpy.typing import ArrayLike
 
 from lieint_jax import _checks, attitude, dates
 from lieint_jax._free_body import Periods
+from lieint_jax.core import (
+    State,
+    Step,
+    StepInfo,
+    System,
+    Trajectory,
+    callable_pytree,
+    checked_step,
+    promoted,
+    pytree,
+    static,
+)
 from lieint_jax.runs import _questions as questions
+from lieint_jax.runs import labeled
 from lieint_jax.runs._clock import GridClock
 from lieint_jax.runs._error import RunError, estimate
 from lieint_jax.runs._execute import compute
@@ -30,19 +43,6 @@ from lieint_jax.runs._save import write
 from lieint_jax.runs._storage.leaves import Saves
 from lieint_jax.runs._storage.storage import StoreOptions, address
 from lieint_jax.runs._summary import MemberSummary, Summary, member_of, saves_of_batch
-from lieint_jax.types import (
-    State,
-    Step,
-    StepInfo,
-    System,
-    Trajectory,
-    callable_pytree,
-    checked_step,
-    labeled,
-    promoted,
-    pytree,
-    static,
-)
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -380,13 +380,32 @@ class Run(Generic[Saved, Reduced]):
         return self.map(periods)
 
     def rotations(self) -> Rotation:
-        """The attitudes, body to space, as `scipy.spatial.transform.Rotation`: see `Trajectory.rotations`."""
+        """The attitudes, body to space, as `scipy.spatial.transform.Rotation` of shape (times, …).
+
+        `.as_euler("ZXZ", degrees=True)` returns Euler angles of any sequence: capitals mean successive rotations about
+        the axes of the body, small letters about those of space. scipy before 1.17 accepts one member of a batch only:
+        `run.member(k).rotations()`.
+
+        Raises:
+            ValueError: q does not hold quaternions.
+        """
         return labeled.rotations(self._saved)
 
     def to_xarray(self, units: Mapping[str, str] | None = None) -> Dataset:
-        """The run as an `xarray.Dataset` with energy, momentum map and angular velocity: see `Trajectory.to_xarray`.
+        """The run as an `xarray.Dataset` with energy, momentum map and angular velocity.
 
-        With an epoch it has a coordinate `date` along time, for which t is taken in seconds.
+        Its dimensions are `time`, and `member` for a batch; its variables are q, p, the other leaves that the states
+        have (those of `extra` as extra_NAME), residual and converged. Quaternions have the dimension `quaternion` with
+        labels w, x, y, z, vectors `axis` with x, y, z; several bodies have `body`, and `pose` (x, y, z, qw, qx, qy, qz)
+        or `momenta` (px, py, pz, pix, piy, piz). With an epoch there is a coordinate `date` along time, for which t is
+        taken in seconds.
+
+        Args:
+            units: units by name of a variable or of the coordinate time, such as {"time": "d"}; by default none.
+
+        Raises:
+            ValueError: `units` names no variable.
+            ImportError: xarray is not installed.
         """
         saved, dims = self._in_memory, ("time", "member")
         found = labeled.dataset(saved, self.system, units or {}, 0 if self.own_step else None)

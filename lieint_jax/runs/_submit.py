@@ -15,6 +15,7 @@ import jax
 import numpy as np
 
 from lieint_jax._checks import count
+from lieint_jax.core import State, Step, Trajectory
 from lieint_jax.runs._execute import Bar, warn_of_failures
 from lieint_jax.runs._loop import Reduction
 from lieint_jax.runs._made_states import MakeStates
@@ -23,7 +24,6 @@ from lieint_jax.runs._run import Run, stored_run
 from lieint_jax.runs._storage.storage import StoreOptions, address
 from lieint_jax.runs._summary import MemberSummary, Summary
 from lieint_jax.runs.store._reading import read_run
-from lieint_jax.types import State, Step, Trajectory
 
 _PAUSE = 0.05  # seconds between two looks at the tasks
 # of the caller's functions, or a package that the workers lack: a part that is repeated raises them again

@@ -7,10 +7,10 @@ from typing import Any, NamedTuple
 import jax
 import numpy as np
 
+from lieint_jax.core import State, Trajectory
 from lieint_jax.runs._devices import Tree
 from lieint_jax.runs._loop import Change
 from lieint_jax.runs._storage.leaves import Saves
-from lieint_jax.types import State, Trajectory
 
 SERIES = ("least", "greatest", "mean", "residual", "unconverged")  # of a reduction; per member only the last two
 Series = dict[str, np.ndarray]  # by these names

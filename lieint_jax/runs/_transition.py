@@ -22,10 +22,9 @@ from jax.typing import ArrayLike
 
 from lieint_jax import _checks, native
 from lieint_jax._checks import concrete
+from lieint_jax._numerics.arrays import PyTree
 from lieint_jax._xla import compiled
-from lieint_jax.runs._clock import at_time, intervals, uniform_clock
-from lieint_jax.runs._driver import info_since, join_start
-from lieint_jax.types import (
+from lieint_jax.core import (
     PhaseSpace,
     State,
     Step,
@@ -37,8 +36,9 @@ from lieint_jax.types import (
     start_time,
     static,
 )
-from lieint_jax.types.record import record
-from lieint_jax.types.shapes import PyTree
+from lieint_jax.core.record import record
+from lieint_jax.runs._clock import at_time, intervals, uniform_clock
+from lieint_jax.runs._driver import info_since, join_start
 
 
 @record

@@ -13,7 +13,7 @@ import numpy as np
 from lieint_jax._checks import concrete
 from lieint_jax._discover import modules_with
 from lieint_jax.capabilities import Capability
-from lieint_jax.types import Catalogue, Step, System
+from lieint_jax.core import Catalogue, Step, System
 
 __all__ = ["Catalogue", "SchemeProperties", "catalogue"]
 

@@ -26,11 +26,11 @@ from jax import Array, lax
 from jax.typing import ArrayLike
 
 from lieint_jax._checks import listed, named, optional
-from lieint_jax._numerics.stages import compose_stages
+from lieint_jax.core import Converted, State, Step, StepInfo, System, clock, counts_work, pytree, static
 from lieint_jax.schemes._catalogue import SchemeProperties
 from lieint_jax.schemes._shared.compositions import METHODS
+from lieint_jax.schemes._shared.stages import compose_stages
 from lieint_jax.schemes._so3_midpoint import examples as base_examples
-from lieint_jax.types import Converted, State, Step, StepInfo, System, clock, counts_work, pytree, static
 
 __all__ = ["Composition", "compose"]
 

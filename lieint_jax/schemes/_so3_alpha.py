@@ -25,18 +25,7 @@ from jax.typing import ArrayLike
 
 from lieint_jax._checks import concrete, count, fraction, named
 from lieint_jax._numerics import newton
-from lieint_jax.capabilities import AbstractEmbeddedBody
-from lieint_jax.maps import Kappa, as_kappa, kappa_cayley
-from lieint_jax.schemes._catalogue import SchemeProperties
-from lieint_jax.schemes._shared.half_rotation import (
-    ITERATIONS,
-    SLENDER,
-    attitude_error_limit,
-    gyroscopic,
-    on_branch,
-)
-from lieint_jax.types import Converted, State, Step, StepInfo, argument, pytree, static
-from lieint_jax.types.vectors import (
+from lieint_jax._numerics.vectors import (
     Matrix,
     Symmetric,
     Vector,
@@ -49,6 +38,17 @@ from lieint_jax.types.vectors import (
     outer,
     symmetric,
     unit_trace,
+)
+from lieint_jax.capabilities import AbstractEmbeddedBody
+from lieint_jax.core import Converted, State, Step, StepInfo, argument, pytree, static
+from lieint_jax.maps import Kappa, as_kappa, kappa_cayley
+from lieint_jax.schemes._catalogue import SchemeProperties
+from lieint_jax.schemes._shared.half_rotation import (
+    ITERATIONS,
+    SLENDER,
+    attitude_error_limit,
+    gyroscopic,
+    on_branch,
 )
 
 __all__ = ["so3_alpha"]

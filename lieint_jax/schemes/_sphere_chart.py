@@ -17,10 +17,11 @@ from jax.typing import ArrayLike, DTypeLike
 from lieint_jax import _checks
 from lieint_jax._numerics import newton
 from lieint_jax._numerics import small_linalg as la
+from lieint_jax._numerics.gradients import autodiff_gradient
 from lieint_jax.capabilities import AbstractSphereSystem
+from lieint_jax.core import State, Step, StepInfo, pytree, static
 from lieint_jax.phase_spaces import SphericalChart
 from lieint_jax.schemes._catalogue import SchemeProperties
-from lieint_jax.types import State, Step, StepInfo, autodiff_gradient, pytree, static
 
 __all__ = ["sphere_chart"]
 

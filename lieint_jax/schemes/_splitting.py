@@ -20,6 +20,7 @@ import jax.numpy as jnp
 from jax import Array, lax
 from jax.typing import ArrayLike
 
+from lieint_jax._numerics.vectors import matrix, max_abs, symmetric
 from lieint_jax.capabilities import (
     AbstractDrivenSystem,
     AbstractElasticBody,
@@ -29,14 +30,13 @@ from lieint_jax.capabilities import (
     AbstractGyrostat,
     AbstractRigidBodies,
 )
+from lieint_jax.core import Group, State, Step, StepInfo, clock, pytree, static
 from lieint_jax.groups import so3
 from lieint_jax.phase_spaces import CotangentGroup
 from lieint_jax.potentials import is_chain
 from lieint_jax.schemes._catalogue import SchemeProperties
 from lieint_jax.schemes._shared.default_drift import default_drift
 from lieint_jax.schemes._shared.half_rotation import attitude_error_limit
-from lieint_jax.types import Group, State, Step, StepInfo, clock, pytree, static
-from lieint_jax.types.vectors import matrix, max_abs, symmetric
 
 __all__ = ["GyrostatSplitting", "Splitting", "splitting"]
 

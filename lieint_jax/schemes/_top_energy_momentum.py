@@ -28,14 +28,7 @@ from jax import Array, lax
 from jax.typing import ArrayLike
 
 from lieint_jax._checks import count, named
-from lieint_jax._numerics.equation import ImplicitEquation
-from lieint_jax.capabilities import AbstractDrivenTop, AbstractTop, discrete_gradient
-from lieint_jax.groups import so3
-from lieint_jax.maps import KAPPAS, Kappa, as_kappa, kappa_cayley
-from lieint_jax.schemes._catalogue import SchemeProperties
-from lieint_jax.schemes._shared.half_rotation import gyration, gyration_matrix, on_branch
-from lieint_jax.types import Converted, PotentialWithGradient, State, Step, StepInfo, argument, clock, pytree, static
-from lieint_jax.types.vectors import (
+from lieint_jax._numerics.vectors import (
     Matrix,
     Symmetric,
     Vector,
@@ -48,6 +41,13 @@ from lieint_jax.types.vectors import (
     unit_trace,
     vector,
 )
+from lieint_jax.capabilities import AbstractDrivenTop, AbstractTop, discrete_gradient
+from lieint_jax.core import Converted, PotentialWithGradient, State, Step, StepInfo, argument, clock, pytree, static
+from lieint_jax.groups import so3
+from lieint_jax.maps import KAPPAS, Kappa, as_kappa, kappa_cayley
+from lieint_jax.schemes._catalogue import SchemeProperties
+from lieint_jax.schemes._shared.equation import ImplicitEquation
+from lieint_jax.schemes._shared.half_rotation import gyration, gyration_matrix, on_branch
 
 __all__ = ["top_energy_momentum"]
 

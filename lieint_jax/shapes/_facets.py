@@ -11,8 +11,8 @@ from numpy.typing import ArrayLike
 
 from lieint_jax import _checks
 from lieint_jax._checks import concrete
+from lieint_jax.core import pytree
 from lieint_jax.shapes._solids import closed_surface
-from lieint_jax.types import pytree
 
 __all__ = ["Facets", "GlossyFacets", "box_facets", "ellipsoid_facets", "facets"]
 

@@ -23,8 +23,8 @@ from numpy.typing import ArrayLike
 from lieint_jax import _checks
 from lieint_jax._checks import concrete
 from lieint_jax._xla import compiled
-from lieint_jax.types import pytree, static
-from lieint_jax.types.text import short_text
+from lieint_jax.core import pytree, static
+from lieint_jax.core.text import short_text
 
 __all__ = ["Shape", "body", "box", "closed_surface", "cylinder", "ellipsoid", "mesh", "sites", "trace_free"]
 

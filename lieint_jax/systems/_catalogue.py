@@ -6,7 +6,7 @@ import importlib
 from typing import NamedTuple
 
 from lieint_jax._discover import modules_with
-from lieint_jax.types import Catalogue
+from lieint_jax.core import Catalogue
 
 __all__ = ["SystemProperties", "catalogue"]
 

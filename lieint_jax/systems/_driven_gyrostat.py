@@ -10,12 +10,12 @@ from jax import Array
 from numpy.typing import ArrayLike
 
 from lieint_jax import _checks, capabilities
+from lieint_jax._numerics.arrays import MomentumMap, Scalar, Time, Vector3
+from lieint_jax.core import Converted, State, argument, callable_pytree, clock, from_fields, pytree
 from lieint_jax.systems._catalogue import SystemProperties
 from lieint_jax.systems._gyrostat import Gyrostat
 from lieint_jax.systems._shared.arguments import check_timed, explained, timed
 from lieint_jax.systems._shared.body import as_inertia
-from lieint_jax.types import Converted, State, argument, callable_pytree, clock, from_fields, pytree
-from lieint_jax.types.shapes import MomentumMap, Scalar, Time, Vector3
 
 __all__ = ["DrivenGyrostat", "SpinUpMotor", "driven_gyrostat"]
 

@@ -9,15 +9,16 @@ import jax.numpy as jnp
 from jax import Array
 
 from lieint_jax import _checks, capabilities
+from lieint_jax._numerics import vectors
+from lieint_jax._numerics.arrays import Matrix3, MomentumMap, Scalar, Time, Vector3
 from lieint_jax._xla import unfused
+from lieint_jax.core import Converted, State, System, argument, callable_pytree, check_gradient, clock, pytree
 from lieint_jax.groups import so3
 from lieint_jax.systems._catalogue import SystemProperties
 from lieint_jax.systems._heavy_top import LinearPotential
 from lieint_jax.systems._potential_top import checked_axis
 from lieint_jax.systems._rigid_body import WithFreeBody
 from lieint_jax.systems._shared.body import TimedBody, as_inertia
-from lieint_jax.types import Converted, State, System, argument, callable_pytree, check_gradient, clock, pytree, vectors
-from lieint_jax.types.shapes import Matrix3, MomentumMap, Scalar, Time, Vector3
 
 __all__ = ["DrivenTop", "driven_top"]
 

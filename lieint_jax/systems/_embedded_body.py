@@ -5,10 +5,11 @@ from __future__ import annotations
 from jax import Array
 
 from lieint_jax import _checks, capabilities
+from lieint_jax._numerics import vectors
+from lieint_jax.core import Converted, State, argument, pytree
 from lieint_jax.groups import so3
 from lieint_jax.systems._catalogue import SystemProperties
 from lieint_jax.systems._shared.body import Body, as_inertia
-from lieint_jax.types import Converted, State, argument, pytree, vectors
 
 __all__ = ["EmbeddedBody", "embedded_body"]
 

@@ -9,15 +9,16 @@ from jax import Array
 
 from lieint_jax import _checks
 from lieint_jax._checks import concrete, named
+from lieint_jax._numerics import vectors
+from lieint_jax._numerics.arrays import Time, Vector3
 from lieint_jax._xla import shapes_now
+from lieint_jax.core import Converted, State, System, argument, callable_pytree, pytree
 from lieint_jax.groups import so3
 from lieint_jax.orbits import kepler
 from lieint_jax.systems._catalogue import SystemProperties
 from lieint_jax.systems._driven_top import MovedBody
 from lieint_jax.systems._potential_top import QuadraticPotential
 from lieint_jax.systems._shared.body import as_inertia
-from lieint_jax.types import Converted, State, System, argument, callable_pytree, pytree, vectors
-from lieint_jax.types.shapes import Time, Vector3
 
 __all__ = ["GravityGradient", "gravity_gradient"]
 

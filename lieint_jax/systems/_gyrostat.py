@@ -7,12 +7,13 @@ from jax import Array
 
 from lieint_jax import _checks, capabilities
 from lieint_jax._checks import named
+from lieint_jax._numerics import vectors
+from lieint_jax._numerics.arrays import Scalar, Vector3
+from lieint_jax.core import Converted, State, argument, pytree
 from lieint_jax.groups import so3
 from lieint_jax.systems._catalogue import SystemProperties
 from lieint_jax.systems._rigid_body import WithFreeBody
 from lieint_jax.systems._shared.body import Rotating, as_inertia
-from lieint_jax.types import Converted, State, argument, pytree, vectors
-from lieint_jax.types.shapes import Scalar, Vector3
 
 __all__ = ["Gyrostat", "gyrostat"]
 

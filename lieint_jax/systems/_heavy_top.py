@@ -10,14 +10,14 @@ from jax import Array
 from numpy.typing import ArrayLike
 
 from lieint_jax import _checks
-from lieint_jax._numerics import elliptic
+from lieint_jax._numerics import elliptic, vectors
+from lieint_jax._numerics.arrays import Scalar, Time, Vector3
+from lieint_jax.core import PotentialWithGradient, State, System, pytree, static
 from lieint_jax.groups import so3
 from lieint_jax.phase_spaces import frame
 from lieint_jax.systems._catalogue import SystemProperties
 from lieint_jax.systems._pendulum import Pendulum
 from lieint_jax.systems._potential_top import PotentialTop, potential_top
-from lieint_jax.types import PotentialWithGradient, State, System, pytree, static, vectors
-from lieint_jax.types.shapes import Scalar, Time, Vector3
 
 __all__ = [
     "LinearPotential",

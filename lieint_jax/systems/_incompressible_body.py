@@ -9,12 +9,12 @@ from numpy.typing import ArrayLike
 
 from lieint_jax import _checks, capabilities
 from lieint_jax._checks import concrete
+from lieint_jax._numerics.arrays import Matrix3, Scalar, Vector3
+from lieint_jax.core import Converted, State, StoredEnergy, argument, pytree
 from lieint_jax.systems._catalogue import SystemProperties
 from lieint_jax.systems._pseudo_rigid_body import DeformingBody, PseudoRigidBody, second_moments
 from lieint_jax.systems._shared.arguments import explained
 from lieint_jax.systems._shared.stored_energy import as_stored_energy, mooney_rivlin
-from lieint_jax.types import Converted, State, StoredEnergy, argument, pytree
-from lieint_jax.types.shapes import Matrix3, Scalar, Vector3
 
 __all__ = ["IncompressibleBody", "incompressible_body"]
 

@@ -11,11 +11,12 @@ from numpy.typing import ArrayLike
 
 from lieint_jax import _checks
 from lieint_jax._checks import concrete
+from lieint_jax._numerics import vectors
+from lieint_jax._numerics.arrays import MomentumMap, Scalar, Vector3
 from lieint_jax.capabilities import AbstractSphereSystem
+from lieint_jax.core import State, callable_pytree, pytree
 from lieint_jax.systems._catalogue import SystemProperties
 from lieint_jax.systems._shared.arguments import explained
-from lieint_jax.types import State, callable_pytree, pytree, vectors
-from lieint_jax.types.shapes import MomentumMap, Scalar, Vector3
 
 __all__ = ["Pendulum", "pendulum"]
 

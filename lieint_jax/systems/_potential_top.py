@@ -12,22 +12,14 @@ from jax import Array
 
 from lieint_jax import _checks
 from lieint_jax._checks import concrete
+from lieint_jax._numerics import vectors
+from lieint_jax._numerics.arrays import Matrix3, MomentumMap, Scalar, Time, Vector3
 from lieint_jax.capabilities import AbstractTop
+from lieint_jax.core import Converted, PotentialWithGradient, State, argument, callable_pytree, check_gradient, pytree
 from lieint_jax.groups import so3
 from lieint_jax.systems._catalogue import SystemProperties
 from lieint_jax.systems._rigid_body import WithFreeBody
 from lieint_jax.systems._shared.body import Body, as_inertia
-from lieint_jax.types import (
-    Converted,
-    PotentialWithGradient,
-    State,
-    argument,
-    callable_pytree,
-    check_gradient,
-    pytree,
-    vectors,
-)
-from lieint_jax.types.shapes import Matrix3, MomentumMap, Scalar, Time, Vector3
 
 __all__ = ["PotentialTop", "QuadraticPotential", "clebsch_integral", "potential_top"]
 

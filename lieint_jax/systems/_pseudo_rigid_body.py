@@ -12,7 +12,10 @@ from numpy.typing import ArrayLike
 
 from lieint_jax import _checks
 from lieint_jax._checks import concrete
+from lieint_jax._numerics import vectors
+from lieint_jax._numerics.arrays import Matrix3, MomentumMap, Scalar, Vector3
 from lieint_jax.capabilities import AbstractDeformingBody, AbstractElasticBody, AbstractViscousBody
+from lieint_jax.core import State, StoredEnergy, pytree
 from lieint_jax.groups import so3
 from lieint_jax.systems._catalogue import SystemProperties
 from lieint_jax.systems._shared.arguments import check_counts, explained, timed
@@ -25,8 +28,6 @@ from lieint_jax.systems._shared.stored_energy import (
     neo_hookean,
     saint_venant_kirchhoff,
 )
-from lieint_jax.types import State, StoredEnergy, pytree, vectors
-from lieint_jax.types.shapes import Matrix3, MomentumMap, Scalar, Vector3
 
 __all__ = [
     "MooneyRivlin",

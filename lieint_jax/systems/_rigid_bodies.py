@@ -15,6 +15,8 @@ from numpy.typing import ArrayLike
 
 from lieint_jax import _checks, potentials
 from lieint_jax._checks import at_once, concrete, outermost
+from lieint_jax._numerics import vectors
+from lieint_jax._numerics.arrays import Masses, MomentumMap, Poses, Positions, PyTree, Scalar
 from lieint_jax._xla import compiled
 from lieint_jax.capabilities import (
     AbstractDissipativeBodies,
@@ -23,12 +25,11 @@ from lieint_jax.capabilities import (
     AbstractRigidBodies,
     rotations,
 )
+from lieint_jax.core import ChainLaw, PairLaw, State, callable_pytree, clock, from_fields, pair_forces, pytree
 from lieint_jax.groups import so3
 from lieint_jax.systems._catalogue import SystemProperties
 from lieint_jax.systems._rigid_body import RigidBody
 from lieint_jax.systems._shared.arguments import check_counts, explained, timed
-from lieint_jax.types import ChainLaw, PairLaw, State, callable_pytree, clock, from_fields, pair_forces, pytree, vectors
-from lieint_jax.types.shapes import Masses, MomentumMap, Poses, Positions, PyTree, Scalar
 
 __all__ = ["DissipativeBodies", "RigidBodies", "rigid_bodies"]
 

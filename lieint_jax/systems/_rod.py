@@ -15,12 +15,12 @@ from numpy.typing import ArrayLike
 
 from lieint_jax import _checks, potentials
 from lieint_jax._checks import concrete
+from lieint_jax._numerics.arrays import PoseMomenta, Positions, PyTree, Rotations, Scalar, Time
 from lieint_jax._xla import compiled
+from lieint_jax.core import ChainLaw, State, callable_pytree, pytree, static
 from lieint_jax.systems._catalogue import SystemProperties
 from lieint_jax.systems._rigid_bodies import DissipativeBodies, RigidBodies, rigid_bodies
 from lieint_jax.systems._shared.arguments import explained
-from lieint_jax.types import ChainLaw, State, callable_pytree, pytree, static
-from lieint_jax.types.shapes import PoseMomenta, Positions, PyTree, Rotations, Scalar, Time
 
 __all__ = ["DissipativeRod", "ElasticRod", "Section", "circular_section", "rectangular_section", "rod"]
 

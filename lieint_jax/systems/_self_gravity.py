@@ -19,9 +19,10 @@ from jax import Array
 from jax.typing import ArrayLike
 
 from lieint_jax import _checks
+from lieint_jax._numerics import vectors
+from lieint_jax._numerics.vectors import Symmetric
+from lieint_jax.core import StoredEnergy, pytree
 from lieint_jax.systems._shared.stored_energy import plus
-from lieint_jax.types import StoredEnergy, pytree, vectors
-from lieint_jax.types.vectors import Symmetric
 
 __all__ = ["self_gravity"]
 

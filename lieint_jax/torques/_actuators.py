@@ -14,15 +14,15 @@ from numpy.typing import ArrayLike
 
 from lieint_jax import _checks
 from lieint_jax._checks import concrete, named, not_negative, positive
+from lieint_jax._numerics.arrays import Calls, PyTree
+from lieint_jax._numerics.vectors import cross, dot
+from lieint_jax.core import Converted, Law, Rotation, argument, parts, pytree, static
 from lieint_jax.groups import so3
 from lieint_jax.torques._arguments import VectorOfTime, cut, example_of_time, value_at, vector_of_time
 from lieint_jax.torques._body_axes import middle_axes
 from lieint_jax.torques._damping import Viscous
 from lieint_jax.torques._wheels import Motor, wheel_axes
 from lieint_jax.torques._window import mean_in_window, window
-from lieint_jax.types import Converted, Law, Rotation, argument, parts, pytree, static
-from lieint_jax.types.shapes import Calls, PyTree
-from lieint_jax.types.vectors import cross, dot
 
 __all__ = ["WheelMotor", "allocation", "torquers", "unloading", "wheel_motor", "wheel_pyramid"]
 

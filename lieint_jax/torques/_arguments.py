@@ -13,10 +13,10 @@ from numpy.typing import ArrayLike
 
 from lieint_jax import _checks
 from lieint_jax._checks import concrete
+from lieint_jax._numerics.vectors import Symmetric, norm, symmetric
 from lieint_jax._xla import rereading_jit
+from lieint_jax.core import callable_pytree
 from lieint_jax.groups import so3
-from lieint_jax.types import callable_pytree
-from lieint_jax.types.vectors import Symmetric, norm, symmetric
 
 VectorOfTime = Array | Callable[[Array], Array]
 NO_ROTATION = (1.0, 0.0, 0.0, 0.0)

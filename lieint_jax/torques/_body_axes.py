@@ -10,9 +10,9 @@ from __future__ import annotations
 import jax.numpy as jnp
 from jax import Array
 
+from lieint_jax._numerics.vectors import VectorLike, cross, dot
+from lieint_jax.core import Rotation
 from lieint_jax.groups import so3
-from lieint_jax.types import Rotation
-from lieint_jax.types.vectors import VectorLike, cross, dot
 
 
 def start_axes(rotation: Rotation, v: VectorLike) -> Array:

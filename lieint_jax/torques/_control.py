@@ -8,11 +8,11 @@ import jax.numpy as jnp
 from jax import Array
 
 from lieint_jax._checks import named, not_negative
+from lieint_jax._numerics.arrays import Calls, PyTree
+from lieint_jax._numerics.vectors import dot
+from lieint_jax.core import Converted, Law, Rotation, argument, pytree
 from lieint_jax.groups import so3
 from lieint_jax.torques._arguments import NO_ROTATION, rotation
-from lieint_jax.types import Converted, Law, Rotation, argument, pytree
-from lieint_jax.types.shapes import Calls, PyTree
-from lieint_jax.types.vectors import dot
 
 __all__ = ["PDTrace", "pd_quaternion", "pd_trace"]
 

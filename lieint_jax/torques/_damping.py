@@ -8,10 +8,10 @@ import jax.numpy as jnp
 from jax import Array
 
 from lieint_jax._checks import all_plain, named, not_negative, positive
+from lieint_jax._numerics.arrays import Calls, PyTree
+from lieint_jax._numerics.vectors import Scalar, Vector, VectorLike, cross, dot
+from lieint_jax.core import Converted, Law, Rotation, argument, pytree, static
 from lieint_jax.torques._arguments import dissipative_tensor, tensor_of
-from lieint_jax.types import Converted, Law, Rotation, argument, pytree, static
-from lieint_jax.types.shapes import Calls, PyTree
-from lieint_jax.types.vectors import Scalar, Vector, VectorLike, cross, dot
 
 __all__ = ["KaneDamper", "Viscous", "internal_friction", "kane_damper", "viscous"]
 

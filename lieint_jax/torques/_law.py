@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from functools import partial
 
+from lieint_jax._numerics.arrays import Calls
+from lieint_jax.core import Law, Rotation, total
 from lieint_jax.torques._damping import Viscous
-from lieint_jax.types import Law, Rotation, total
-from lieint_jax.types.shapes import Calls
 
 __all__ = ["Law", "Rotation", "total"]
 

@@ -12,6 +12,9 @@ from numpy.typing import ArrayLike
 
 from lieint_jax import _checks
 from lieint_jax._checks import named, not_negative, positive
+from lieint_jax._numerics.arrays import Calls, PyTree
+from lieint_jax._numerics.vectors import Vector, cross, dot, norm
+from lieint_jax.core import Converted, Law, Rotation, argument, pytree, static
 from lieint_jax.groups import so3
 from lieint_jax.torques._arguments import (
     VectorOfTime,
@@ -23,9 +26,6 @@ from lieint_jax.torques._arguments import (
     vector_of_time,
 )
 from lieint_jax.torques._body_axes import end_axes, mean_axes, middle_axes, start_axes
-from lieint_jax.types import Converted, Law, Rotation, argument, pytree, static
-from lieint_jax.types.shapes import Calls, PyTree
-from lieint_jax.types.vectors import Vector, cross, dot, norm
 
 __all__ = ["LimitedBDot", "bdot", "eddy_current", "hysteresis"]
 

@@ -10,11 +10,11 @@ from jax import Array
 from numpy.typing import ArrayLike
 
 from lieint_jax._checks import named, positive
+from lieint_jax._numerics.arrays import Calls, PyTree
+from lieint_jax.core import Converted, Law, LawSum, Rotation, argument, as_law, pytree
 from lieint_jax.torques._arguments import cut
 from lieint_jax.torques._damping import Viscous
 from lieint_jax.torques._window import mean_in_window, window
-from lieint_jax.types import Converted, Law, LawSum, Rotation, argument, as_law, pytree
-from lieint_jax.types.shapes import Calls, PyTree
 
 __all__ = ["saturated", "windowed"]
 

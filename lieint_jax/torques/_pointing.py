@@ -13,11 +13,12 @@ from numpy.typing import ArrayLike
 
 from lieint_jax import _checks
 from lieint_jax._checks import not_negative, positive
+from lieint_jax._numerics import vectors
+from lieint_jax._numerics.arrays import Calls, PyTree
+from lieint_jax._numerics.vectors import cross
+from lieint_jax.core import Law, Rotation, callable_pytree, pytree
 from lieint_jax.groups import so3
 from lieint_jax.torques._arguments import NO_ROTATION, rotation
-from lieint_jax.types import Law, Rotation, callable_pytree, pytree, vectors
-from lieint_jax.types.shapes import Calls, PyTree
-from lieint_jax.types.vectors import cross
 
 __all__ = ["Pointing", "Target", "pointing", "sliding_mode"]
 

@@ -13,13 +13,14 @@ from jax.tree_util import Partial
 
 from lieint_jax import _checks
 from lieint_jax._checks import named
-from lieint_jax._numerics.discrete_gradient import discrete_gradient
+from lieint_jax._numerics import vectors
+from lieint_jax._numerics.arrays import Calls, PyTree
+from lieint_jax._numerics.gradients import discrete_gradient
+from lieint_jax._numerics.vectors import cross, dot
+from lieint_jax.core import Converted, Law, Rotation, argument, callable_pytree, pytree
 from lieint_jax.groups import so3
 from lieint_jax.torques._arguments import VectorOfTime, evaluate, example_of_time, value_at, vector_of_time
 from lieint_jax.torques._body_axes import end_axes, start_axes
-from lieint_jax.types import Converted, Law, Rotation, argument, callable_pytree, pytree, vectors
-from lieint_jax.types.shapes import Calls, PyTree
-from lieint_jax.types.vectors import cross, dot
 
 __all__ = ["Dipole", "GravityGradient", "dipole", "gravity_gradient", "potential"]
 

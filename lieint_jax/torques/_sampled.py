@@ -8,11 +8,11 @@ from jax import Array
 from jax.typing import ArrayLike
 
 from lieint_jax._checks import named, positive
+from lieint_jax._numerics.arrays import Calls, PyTree
+from lieint_jax.core import Converted, Law, Rotation, argument, pytree, static
 from lieint_jax.torques._actuators import control_laws, control_torque
 from lieint_jax.torques._damping import Viscous
 from lieint_jax.torques._hold import held_in_step, why_not
-from lieint_jax.types import Converted, Law, Rotation, argument, pytree, static
-from lieint_jax.types.shapes import Calls, PyTree
 
 __all__ = ["Sampled", "sampled"]
 

@@ -15,11 +15,11 @@ from numpy.typing import ArrayLike
 
 from lieint_jax import _checks
 from lieint_jax._checks import concrete, for_each, named, not_negative, positive, real_array
+from lieint_jax._numerics.arrays import Calls, PyTree
+from lieint_jax._numerics.vectors import Vector, cross, dot, vector
+from lieint_jax.core import Converted, Law, Rotation, argument, callable_pytree, pytree
 from lieint_jax.torques._arguments import VectorOfTime, direction_at, direction_of_time, evaluate, example_of_time
 from lieint_jax.torques._body_axes import middle_axes
-from lieint_jax.types import Converted, Law, Rotation, argument, callable_pytree, pytree
-from lieint_jax.types.shapes import Calls, PyTree
-from lieint_jax.types.vectors import Vector, cross, dot, vector
 
 __all__ = ["Aerodynamic", "aerodynamic", "box_plates", "solar_plate", "solar_plates"]
 

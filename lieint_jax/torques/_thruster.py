@@ -9,9 +9,9 @@ from jax import Array
 from numpy.typing import ArrayLike
 
 from lieint_jax import _checks
+from lieint_jax._numerics.arrays import Calls, PyTree
+from lieint_jax.core import Law, Rotation, pytree
 from lieint_jax.torques._window import mean_in_window, window
-from lieint_jax.types import Law, Rotation, pytree
-from lieint_jax.types.shapes import Calls, PyTree
 
 __all__ = ["thruster"]
 

@@ -14,12 +14,12 @@ from numpy.typing import ArrayLike
 
 from lieint_jax import _checks
 from lieint_jax._checks import concrete, for_each, named, positive, real_array
+from lieint_jax._numerics.arrays import Calls, PyTree
+from lieint_jax._numerics.vectors import cross
+from lieint_jax.core import Converted, Law, Rotation, argument, callable_pytree, pytree, with_fields
 from lieint_jax.groups import so3
 from lieint_jax.torques._arguments import cut
 from lieint_jax.torques._hold import held_in_step, why_not
-from lieint_jax.types import Converted, Law, Rotation, argument, callable_pytree, pytree, with_fields
-from lieint_jax.types.shapes import Calls, PyTree
-from lieint_jax.types.vectors import cross
 
 __all__ = ["Wheels", "body_inertia", "wheels"]
 

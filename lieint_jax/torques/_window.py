@@ -8,7 +8,7 @@ from numpy.typing import ArrayLike
 
 from lieint_jax import _checks
 from lieint_jax._checks import concrete
-from lieint_jax.types import Rotation
+from lieint_jax.core import Rotation
 
 
 def window(what: str, start: ArrayLike, stop: ArrayLike | None) -> tuple[Array, Array]:

@@ -10,7 +10,7 @@ import pytest
 
 import lieint_jax as li
 from lieint_jax import systems, torques
-from lieint_jax.types import argument, pytree, static, with_fields
+from lieint_jax.core import argument, pytree, static, with_fields
 
 
 def positive(value):

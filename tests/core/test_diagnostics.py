@@ -12,9 +12,9 @@ from internals import largest_at_once
 
 import lieint_jax as li
 from lieint_jax import _discover, diagnostics
+from lieint_jax.core import State, Step, StepInfo, pytree
+from lieint_jax.core.tangent import value_and_jacobian
 from lieint_jax.groups import so3
-from lieint_jax.types import State, Step, StepInfo, pytree
-from lieint_jax.types.tangent import value_and_jacobian
 
 BODIES = jax.jit(_discover.modules_with("examples", li.systems)["rigid_body"].examples)()
 GRID = {  # every scheme that takes a rigid body

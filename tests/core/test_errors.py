@@ -16,11 +16,11 @@ import pytest
 import lieint_jax as li
 from lieint_jax import _cache, _checks
 from lieint_jax.command import cli
+from lieint_jax.core import State, StepInfo
 from lieint_jax.examples import heavy_top
 from lieint_jax.runs import _devices
 from lieint_jax.runs import store as archives
 from lieint_jax.runs.store import _identity
-from lieint_jax.types import State, StepInfo
 
 ONE = np.array([1.0, 0.0, 0.0, 0.0])
 BODY = li.systems.RigidBody(jnp.array([1.0, 2.0, 3.0]))

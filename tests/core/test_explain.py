@@ -92,7 +92,7 @@ def end(make, J, w, **options):
 
 
 @li.pytree
-class Heun(li.types.Step):
+class Heun(li.core.Step):
     """A user's scheme."""
 
     system: object
@@ -106,7 +106,7 @@ class Heun(li.types.Step):
         first = self.system.vector_field(state)
         second = self.system.vector_field(at(first, dt))
         mean = jax.tree.map(lambda x, y: (x + y) / 2, first, second)
-        return at(mean, dt), li.types.StepInfo(jnp.zeros_like(dt), jnp.asarray(True))
+        return at(mean, dt), li.core.StepInfo(jnp.zeros_like(dt), jnp.asarray(True))
 
 
 def heun(J):

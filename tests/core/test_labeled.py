@@ -9,7 +9,7 @@ import pytest
 from cubes import CUBE, FACES
 
 import lieint_jax as li
-from lieint_jax.types import State, StepInfo, Trajectory
+from lieint_jax.core import State, StepInfo, Trajectory
 
 pytestmark = pytest.mark.long
 

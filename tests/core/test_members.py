@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 import lieint_jax as li
+from lieint_jax.core import State, StepInfo, Trajectory
 from lieint_jax.diagnostics import constraint_error, energy_error, momentum_error
-from lieint_jax.types import State, StepInfo, Trajectory
 
 pytestmark = pytest.mark.long
 

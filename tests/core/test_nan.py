@@ -15,8 +15,8 @@ import numpy as np
 import pytest
 
 from lieint_jax import attitude, maps, measure, orbits, potentials, shapes, tides, torques
+from lieint_jax.core import Law, LawSum, Rotation
 from lieint_jax.groups import so3
-from lieint_jax.types import Law, LawSum, Rotation
 
 MODULES = (attitude, orbits, torques, potentials, maps, measure, shapes, tides)
 T, Q, OMEGA = 0.7, so3.normalize(jnp.array([0.8, -0.3, 0.4, 0.2])), jnp.array([0.5, -0.3, 0.6])

@@ -19,8 +19,8 @@ from small_steps import Oscillators
 
 import lieint_jax as li
 from lieint_jax import native
+from lieint_jax.core import Step, StepInfo, pytree
 from lieint_jax.runs import compiler_options
-from lieint_jax.types import Step, StepInfo, pytree
 
 pytestmark = pytest.mark.long
 

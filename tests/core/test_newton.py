@@ -7,7 +7,7 @@ import pytest
 
 from lieint_jax._numerics import newton
 from lieint_jax._numerics import small_linalg as la
-from lieint_jax.types.vectors import Vector
+from lieint_jax._numerics.vectors import Vector
 
 
 def cubic_root(c, iterations=8):

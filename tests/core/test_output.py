@@ -10,7 +10,7 @@ from repeated import last
 
 import lieint_jax as li
 from lieint_jax import diagnostics, runs, schemes, systems
-from lieint_jax.types.tangent import distance, value_and_jacobian
+from lieint_jax.core.tangent import distance, value_and_jacobian
 
 pytestmark = pytest.mark.long
 

@@ -11,7 +11,7 @@ from grid import steps
 from small_steps import Leapfrog, Oscillators, leapfrog
 
 import lieint_jax as li
-from lieint_jax.types import State
+from lieint_jax.core import State
 
 pytestmark = pytest.mark.long
 

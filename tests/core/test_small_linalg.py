@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from lieint_jax._numerics import small_linalg as la
-from lieint_jax.types.vectors import Matrix, Vector
+from lieint_jax._numerics.vectors import Matrix, Vector
 
 
 def rows(M):

@@ -18,7 +18,7 @@ from repeated import once
 
 import lieint_jax as li
 from lieint_jax import _discover, maps
-from lieint_jax.types import Step
+from lieint_jax.core import Step
 
 ROOT, TESTS = Path(li.__file__).parent, Path(__file__).parents[1]
 FLOORS = [  # from the roof down; a module imports only from floors below its own, or its own package
@@ -41,8 +41,8 @@ FLOORS = [  # from the roof down; a module imports only from floors below its ow
     ("attitude", "maps"),
     ("groups",),
     ("elliptic",),
+    ("core",),
     ("_numerics",),
-    ("types",),
     ("native",),
     ("_xla",),
     ("_text", "dates"),
@@ -50,7 +50,7 @@ FLOORS = [  # from the roof down; a module imports only from floors below its ow
 ]
 LEVEL = {name: level for level, floor in enumerate(FLOORS) for name in floor}
 CORE = {"jax", "numpy"}  # and the standard library: all that the numerical core needs, everything below `runs`
-CHECKED = {"jaxtyping"}  # of the room `types`, where only type checkers import it: see test_import_is_light
+CHECKED = {"jaxtyping"}  # of the room `_numerics`, where only type checkers import it: see test_import_is_light
 COMPILER = {"llvmlite"}  # of the room `native`, which imports it with the first machine code
 FILES = sorted(path for path in ROOT.rglob("*.py") if path != ROOT / "__init__.py")
 ROOMS = {path.stem for path in ROOT.iterdir() if path.suffix == ".py" or (path / "__init__.py").is_file()}
@@ -116,7 +116,7 @@ def test_imports_point_down(path):
             pytest.fail(f"{path} imports the face of the package")
         elif LEVEL[room] > LEVEL["runs"] or room == "diagnostics" or path in INSIDE_JIT:
             top = name.split(".")[0]
-            own = {"native": COMPILER, "types": CHECKED}.get(room, set())
+            own = {"native": COMPILER, "_numerics": CHECKED}.get(room, set())
             assert top in CORE | own or top in sys.stdlib_module_names, f"{path} is core and imports {name}"
 
 

@@ -8,8 +8,8 @@ from differences import slopes
 from grid import systems as all_systems
 
 import lieint_jax as li
+from lieint_jax.core import State
 from lieint_jax.groups import so3
-from lieint_jax.types import State
 
 pytestmark = pytest.mark.long
 

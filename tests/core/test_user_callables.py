@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 import lieint_jax as li
-from lieint_jax import types
+from lieint_jax import core
 
 
 @jax.tree_util.register_pytree_node_class
@@ -96,21 +96,21 @@ def body_of(network):
 def test_the_partition_is_of_the_leaves_that_are_no_numbers():
     """Only there: what has numbers alone stays the object that the user gave."""
     plain = jax.tree_util.Partial(lambda w, g: w * g[0], 2.0)
-    assert types.callable_pytree(plain) is plain
+    assert core.callable_pytree(plain) is plain
     assert body_of(plain).potential is plain
     given = net(3, act=damped)
     found = body_of(given).potential
     assert found.act is damped
     assert found.note == "a leaf of text"
     assert found(ONE[0]) == given(ONE[0])
-    assert types.callable_pytree(found) is found
+    assert core.callable_pytree(found) is found
     assert jax.tree.structure(found) != jax.tree.structure(body_of(net(3, act=jnp.sin)).potential)
     for other in (copy.copy(found), copy.deepcopy(found), pickle.loads(pickle.dumps(body_of(given))).potential):
         assert other(ONE[0]) == found(ONE[0])
         assert jax.tree.structure(other) == jax.tree.structure(found)
     unhashable = Net(given.inner, given.outer, damped, note={2})
     assert body_of(unhashable).potential(ONE[0]) == given(ONE[0])
-    assert types.callable_pytree(unhashable).note is unhashable.note
+    assert core.callable_pytree(unhashable).note is unhashable.note
 
 
 def loss_of(network):

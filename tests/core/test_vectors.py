@@ -6,8 +6,7 @@ import mpmath
 import numpy as np
 import pytest
 
-from lieint_jax._numerics import power_series
-from lieint_jax.types import vectors
+from lieint_jax._numerics import power_series, vectors
 
 EPS = np.finfo(float).eps
 RNG = np.random.default_rng(11)

@@ -10,7 +10,7 @@ from internals import by_engine
 from small_steps import Oscillators
 
 import lieint_jax as li
-from lieint_jax.types import State, Step, StepInfo, pytree
+from lieint_jax.core import State, Step, StepInfo, pytree
 
 N, DT, T0 = 10_000, 0.05, 0.3
 

@@ -4,7 +4,7 @@ import jax.numpy as jnp
 import numpy as np
 from paper import exp
 
-from lieint_jax.types import State
+from lieint_jax.core import State
 
 Q = np.array([1.0, 2, -1, 0.5]) / 2.5
 TURN = exp(np.array([0.3, -0.5, 0.4]))

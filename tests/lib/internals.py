@@ -14,13 +14,13 @@ import numpy as np
 import lieint_jax as li
 from lieint_jax import _checks
 from lieint_jax._xla import compiled
+from lieint_jax.core import tangent
 from lieint_jax.native import _kernel, _machine, _march_code, _traced
 from lieint_jax.runs import _devices, _engine, _execute, _facts, _made_states, _plan, _run
 from lieint_jax.runs._split import Split
 from lieint_jax.runs._storage import bucket as _bucket
 from lieint_jax.runs._storage import disk as _disk
 from lieint_jax.runs.store import _identity, _root, _store_output, _writer
-from lieint_jax.types import tangent
 
 _DIFFERENCE = _engine.Engine._difference
 

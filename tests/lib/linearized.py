@@ -3,7 +3,7 @@
 import jax
 import jax.numpy as jnp
 
-from lieint_jax.types.tangent import value_and_jacobian
+from lieint_jax.core.tangent import value_and_jacobian
 
 
 def there_and_back(step, state, dt):

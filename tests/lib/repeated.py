@@ -3,7 +3,7 @@
 import jax
 import jax.numpy as jnp
 
-from lieint_jax.types import StepInfo
+from lieint_jax.core import StepInfo
 
 once = jax.jit(lambda step, state, dt: step(state, dt))
 

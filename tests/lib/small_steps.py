@@ -6,8 +6,8 @@ import jax.numpy as jnp
 import numpy as np
 from jax import Array
 
+from lieint_jax.core import State, Step, StepInfo, System, pytree
 from lieint_jax.phase_spaces import CotangentMatrices
-from lieint_jax.types import State, Step, StepInfo, System, pytree
 
 
 @pytree

@@ -8,7 +8,7 @@ from pathlib import Path
 import lieint_jax as li
 from lieint_jax import _discover
 
-ROOMS = (li.schemes, li.systems, li.torques, li.potentials, li.orbits, li.types)
+ROOMS = (li.schemes, li.systems, li.torques, li.potentials, li.orbits, li.core)
 _HEAD = "# Written by tests/lib/stubs.py: each module has its public names in __all__.\n\n"
 
 

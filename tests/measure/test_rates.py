@@ -41,15 +41,15 @@ def outward(h, x, R):
 
 
 @li.pytree
-class Revolving(li.types.Step):
+class Revolving(li.core.Step):
     """Two spheres on a revolving orbit in closed form."""
 
-    system: li.types.System
+    system: li.core.System
     e: jax.Array
     k: jax.Array
 
     def advance(self, state, dt):
-        return self.at(state.t + dt, state), li.types.StepInfo.empty(state.q)
+        return self.at(state.t + dt, state), li.core.StepInfo.empty(state.q)
 
     def at(self, t, state):
         x, v = jax.jvp(lambda t: positions(t, self.e, self.k), (t,), (jnp.ones_like(t),))

@@ -11,8 +11,8 @@ from paper import ONE, hat
 
 import lieint_jax as li
 from lieint_jax import _discover, diagnostics, groups, maps, schemes
+from lieint_jax.core.tangent import value_and_jacobian
 from lieint_jax.groups import so3
-from lieint_jax.types.tangent import value_and_jacobian
 
 CONDITIONS = diagnostics._conditions
 BODY = li.systems.rigid_body([1.0, 2.0, 3.0])

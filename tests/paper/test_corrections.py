@@ -13,9 +13,9 @@ import pytest
 from paper import KAPPAS, ONE, H, cay, close, hat, omega, omega_inverse, rot, skew
 
 import lieint_jax as li
+from lieint_jax.core.tangent import value_and_jacobian
 from lieint_jax.diagnostics import poisson_error
 from lieint_jax.groups import so3
-from lieint_jax.types.tangent import value_and_jacobian
 
 J = np.diag([1.0, 2.0, 3.0])
 DT = 0.3

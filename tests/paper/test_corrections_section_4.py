@@ -13,8 +13,8 @@ import pytest
 from paper import KAPPAS, ONE, H, cay, close, hat, omega_inverse, rot, skew
 
 import lieint_jax as li
+from lieint_jax.core.tangent import value_and_jacobian
 from lieint_jax.groups import so3
-from lieint_jax.types.tangent import value_and_jacobian
 
 DT = 0.3
 E, GAMMA = np.array([0.4, -0.7, 0.9]), np.array([0.3, 0.5, 0.8])

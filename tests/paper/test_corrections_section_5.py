@@ -11,8 +11,8 @@ from paper import skew
 import lieint_jax as li
 from lieint_jax import _discover, groups, maps
 from lieint_jax._numerics import newton
-from lieint_jax.types import State, Step, StepInfo, pytree
-from lieint_jax.types.tangent import value_and_jacobian
+from lieint_jax.core import State, Step, StepInfo, pytree
+from lieint_jax.core.tangent import value_and_jacobian
 
 MATRIX = _discover.modules_with("examples", groups)["matrix"]
 QUICK = {"xla_llvm_disable_expensive_passes": True}

@@ -16,8 +16,9 @@ from scipy.linalg import eigh
 from scipy.optimize import root
 
 import lieint_jax as li
+from lieint_jax._numerics import vectors
+from lieint_jax.core import State
 from lieint_jax.diagnostics import linearization
-from lieint_jax.types import State, vectors
 
 BALL = li.systems.pseudo_rigid_body(2 * np.eye(3), li.systems.mooney_rivlin(2000.0, 6.0))
 E = np.array([[1.0, 0.1, 0], [0.1, 1.5, -0.2], [0, -0.2, 2.5]])

@@ -28,7 +28,7 @@ from lieint_jax.capabilities import (
     AbstractRigidBodies,
     AbstractViscousBody,
 )
-from lieint_jax.types import energy_less_work
+from lieint_jax.core import energy_less_work
 
 CASES = 10_000
 SE3 = li.groups.special_euclidean(3)

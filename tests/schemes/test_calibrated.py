@@ -12,11 +12,11 @@ from repeated import once
 
 import lieint_jax as li
 from lieint_jax import diagnostics
+from lieint_jax.core import State
+from lieint_jax.core.tangent import distance
 from lieint_jax.groups import so3
 from lieint_jax.schemes import calibrated, preprocessed
 from lieint_jax.systems import RigidBody
-from lieint_jax.types import State
-from lieint_jax.types.tangent import distance
 
 pytestmark = pytest.mark.long
 

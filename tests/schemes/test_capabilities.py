@@ -12,8 +12,8 @@ import pytest
 from grid import systems
 
 import lieint_jax as li
-from lieint_jax import _discover, capabilities, schemes, types
-from lieint_jax.types import State
+from lieint_jax import _discover, capabilities, core, schemes
+from lieint_jax.core import State
 
 J = jnp.array([1.0, 2.0, 3.0])
 BODY = li.systems.rigid_body(J)
@@ -164,7 +164,7 @@ def test_every_step_moves_by_the_vector_field_of_its_system(name):
 
 
 @li.pytree
-class Wrong(types.PotentialWithGradient):
+class Wrong(core.PotentialWithGradient):
     """A slip in the gradient, by which energy would drift."""
 
     def __call__(self, Gamma, t=None):
@@ -175,7 +175,7 @@ class Wrong(types.PotentialWithGradient):
 
 
 @li.pytree
-class WrongStress(types.StoredEnergy):
+class WrongStress(core.StoredEnergy):
     """Half of the stress."""
 
     def __call__(self, C):
@@ -268,7 +268,7 @@ def test_every_system_declares_what_it_is():
         capabilities.AbstractKinematics,
     )
     for name, (system, _, _) in systems():
-        assert isinstance(system, types.System), name
+        assert isinstance(system, core.System), name
         assert sum(isinstance(system, kind) for kind in kinds) == 1, name
 
 
@@ -276,11 +276,11 @@ def test_groups_with_analytic_functions_are_distinguished_from_others():
     class Plain:
         """so3 in a class: all that a `Group` must have."""
 
-    for name in types.Group.__protocol_attrs__ if hasattr(types.Group, "__protocol_attrs__") else dir(li.groups.so3):
+    for name in core.Group.__protocol_attrs__ if hasattr(core.Group, "__protocol_attrs__") else dir(li.groups.so3):
         setattr(Plain, name, getattr(li.groups.so3, name, None))
-    assert isinstance(li.groups.special_euclidean(2), types.AnalyticGroup)
-    assert not isinstance(li.groups.so3, types.AnalyticGroup)
-    assert not isinstance(Plain(), types.AnalyticGroup)
+    assert isinstance(li.groups.special_euclidean(2), core.AnalyticGroup)
+    assert not isinstance(li.groups.so3, core.AnalyticGroup)
+    assert not isinstance(Plain(), core.AnalyticGroup)
 
 
 def test_a_custom_step_needs_public_names_only():

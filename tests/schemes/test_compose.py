@@ -10,10 +10,10 @@ from small_steps import Oscillators
 
 import lieint_jax as li
 from lieint_jax import _discover, diagnostics
+from lieint_jax.core import State, Step, StepInfo
 from lieint_jax.groups import so3
 from lieint_jax.maps import kappa_cayley, kappa_symplectic
 from lieint_jax.schemes import calibrated, compose, so3_explicit, so3_midpoint
-from lieint_jax.types import State, Step, StepInfo
 
 METHODS = _discover.modules_with("examples", li.schemes)["compose"].METHODS
 BODY = li.systems.rigid_body([1.0, 2.0, 3.0])

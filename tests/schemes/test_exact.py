@@ -13,10 +13,10 @@ from free_bodies import Q, moving, rows, turned, with_momentum
 
 from lieint_jax import diagnostics
 from lieint_jax._numerics import elliptic
+from lieint_jax.core import State
 from lieint_jax.groups import so3
 from lieint_jax.schemes import exact
 from lieint_jax.systems import RigidBody
-from lieint_jax.types import State
 
 solve = jax.jit(lambda J, state, t: RigidBody(J).solution(state, t))
 derivative = jax.jit(jax.jacfwd(lambda J, state, t: RigidBody(J).solution(state, t).q, argnums=(0, 1, 2)))

@@ -9,7 +9,8 @@ import pytest
 
 import lieint_jax as li
 from lieint_jax import State, maps, schemes
-from lieint_jax.types import Step, StepInfo, vectors
+from lieint_jax._numerics import vectors
+from lieint_jax.core import Step, StepInfo
 
 pytestmark = pytest.mark.long
 

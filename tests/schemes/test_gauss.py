@@ -12,11 +12,11 @@ from grid import examples_of
 import lieint_jax as li
 from lieint_jax import _discover, diagnostics, schemes, systems
 from lieint_jax._numerics import collocation
+from lieint_jax.core.tangent import distance
 from lieint_jax.diagnostics import flow
 from lieint_jax.schemes._extrapolate import _extrapolation, _fractions, weights
 from lieint_jax.schemes.charts import body_axes, canonical
 from lieint_jax.schemes.charts.canonical import canonical_chart
-from lieint_jax.types.tangent import distance
 
 TOP, STATE, _ = examples_of("heavy_top")["asymmetric_top"]
 STEP = schemes.gauss(TOP)

@@ -12,6 +12,8 @@ from scipy.linalg import expm
 
 import lieint_jax as li
 from lieint_jax import _discover, groups, maps
+from lieint_jax.core import State
+from lieint_jax.core.tangent import value_and_jacobian
 from lieint_jax.diagnostics import (
     energy_error,
     flow,
@@ -22,8 +24,6 @@ from lieint_jax.diagnostics import (
     symplectic_defect,
 )
 from lieint_jax.schemes import group_midpoint
-from lieint_jax.types import State
-from lieint_jax.types.tangent import value_and_jacobian
 
 pytestmark = pytest.mark.long
 

@@ -12,8 +12,8 @@ from repeated import once
 
 import lieint_jax as li
 from lieint_jax import _discover
+from lieint_jax._numerics import vectors
 from lieint_jax.diagnostics import energy_error, flow, momentum_error
-from lieint_jax.types import vectors
 
 pytestmark = pytest.mark.long
 
@@ -55,7 +55,7 @@ def test_the_volume_of_stretched_bodies_is_conserved_to_the_rounding_of_det_F():
     P = np.array([[9.6, 0.3, 3.6], [-7.3, 0.2, -0.5], [-1.6, 0.2, 0.1]])
     body = li.systems.incompressible_body([7.7, 0.2, 1.2], li.systems.mooney_rivlin(0.28, 0.14))
     step = li.schemes.additive(body, "incompressible")
-    states = li.types.State(F / np.cbrt(np.linalg.det(F))[:, None, None], np.broadcast_to(P, F.shape))
+    states = li.core.State(F / np.cbrt(np.linalg.det(F))[:, None, None], np.broadcast_to(P, F.shape))
     after, info = jax.jit(jax.vmap(lambda state: step(state, 0.39)))(jax.tree.map(jnp.asarray, states))
     assert info.converged.all()
     off = np.abs(jax.vmap(body.phase_space.defect)(after)) / np.abs(after.q).max((1, 2)) ** 3

@@ -20,7 +20,7 @@ from scipy.integrate import solve_ivp
 
 import lieint_jax as li
 from lieint_jax import maps
-from lieint_jax.types import time_derivative
+from lieint_jax.core import time_derivative
 
 OTHERS = {"exact", "calibrated", "langevin"}  # the first two are the flow; test_langevin.py has the order of the third
 QUICK, LONG = (

@@ -14,11 +14,11 @@ from paper import hat
 
 import lieint_jax as li
 from lieint_jax import diagnostics
+from lieint_jax.core import State
 from lieint_jax.groups import so3
 from lieint_jax.schemes import preprocessed
 from lieint_jax.schemes._shared import clock_coefficients
 from lieint_jax.systems import RigidBody
-from lieint_jax.types import State
 
 BODIES = {
     "principal": RigidBody(jnp.array([1.0, 2.0, 3.0])),

@@ -10,7 +10,7 @@ import pytest
 from repeated import last, once
 
 import lieint_jax as li
-from lieint_jax import schemes, systems, torques, types
+from lieint_jax import core, schemes, systems, torques
 from lieint_jax.groups import so3
 
 PERIOD, DT, MOMENTS = 0.1, 0.025, [1.0, 2.0, 2.5]
@@ -114,8 +114,8 @@ def test_sampled_wheels_are_those_of_a_loop_with_constant_motors_between_samples
     assert np.linalg.norm(run.state.p[-1]) < 0.4 * np.linalg.norm(run.state.p[0])  # the wheels took it over
 
 
-@types.pytree
-class Held(types.Law):
+@core.pytree
+class Held(core.Law):
     """A constant torque in the body."""
 
     torque: jax.Array
@@ -157,7 +157,7 @@ def test_it_runs_in_machine_code():
     step, state = satellite()
     assert li.explain(lambda z: li.integrate(step, z, DT, 10), state).engines == {"native"}
     assert not step.symmetric
-    assert li.types.labels(step.system) == ["sampled", "viscous"]
+    assert li.core.labels(step.system) == ["sampled", "viscous"]
 
 
 @pytest.mark.long

@@ -76,7 +76,7 @@ def test_magnetic_detumbling_is_that_of_scipy():
 @functools.partial(jax.jit, static_argnums=(3, 4))
 def held_for(torque, state, period, substeps, order):
     """The state and the angular velocity after a period in which a torque in the body is held."""
-    law = li.types.as_law(jax.tree_util.Partial(lambda torque, t, q, Omega: torque, torque))
+    law = li.core.as_law(jax.tree_util.Partial(lambda torque, t, q, Omega: torque, torque))
     body = li.systems.TorquedBody(jnp.asarray(J), law)
     step = torqued_midpoint(body) if order == 2 else li.schemes.compose(torqued_midpoint(body), order)
     end = li.integrate(step, state, period / substeps, substeps, save_every=substeps).state

@@ -90,7 +90,7 @@ def test_works_are_named_by_their_laws(seven):
     assert path.to_xarray().extra_works.dims == ("time", "law")
     drag = lambda t, q, omega: -0.1 * omega  # noqa: E731
     named = torques.total([drag, torques.viscous(0.1), torques.viscous(0.2), torques.pd_trace(0.1, 0.1)])
-    assert li.types.labels(torqued_body(INERTIA, named)) == ["function", "viscous", "viscous_2", "pd_trace"]
+    assert li.core.labels(torqued_body(INERTIA, named)) == ["function", "viscous", "viscous_2", "pd_trace"]
 
 
 def test_works_in_a_store_are_named_by_their_laws(tmp_path):

@@ -9,9 +9,9 @@ from linearized import there_and_back
 
 import lieint_jax as li
 from lieint_jax import diagnostics
+from lieint_jax.core.tangent import distance
 from lieint_jax.schemes import so3_explicit, so3_midpoint
 from lieint_jax.systems import RigidBody
-from lieint_jax.types.tangent import distance
 
 INERTIAS = {"principal": jnp.array([1.0, 2.0, 3.0]), "full": turned([1.0, 2.0, 2.5])}
 

@@ -9,9 +9,9 @@ import pytest
 
 import lieint_jax as li
 from lieint_jax import diagnostics, schemes, systems, torques
+from lieint_jax.core import tangent
 from lieint_jax.groups import so3
 from lieint_jax.maps import KAPPAS
-from lieint_jax.types import tangent
 
 pytestmark = pytest.mark.long
 

@@ -14,11 +14,11 @@ from repeated import state_after
 
 import lieint_jax as li
 from lieint_jax import diagnostics, maps
-from lieint_jax._numerics.discrete_gradient import discrete_gradient
+from lieint_jax._numerics.gradients import discrete_gradient
+from lieint_jax.core import State, gradient
 from lieint_jax.groups import so3
 from lieint_jax.schemes import compose, exact, splitting, top_energy_momentum
 from lieint_jax.systems import LinearPotential, QuadraticPotential, clebsch_integral, kovalevskaya_integral
-from lieint_jax.types import State, gradient
 
 KAPPAS = {kappa.name: kappa for kappa in maps.KAPPAS}
 

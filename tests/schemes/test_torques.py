@@ -16,13 +16,13 @@ from scipy.integrate import solve_ivp
 
 import lieint_jax as li
 from lieint_jax import State, _discover, schemes, torques
+from lieint_jax._numerics.vectors import Vector
+from lieint_jax.core import StepInfo
+from lieint_jax.core.tangent import distance
 from lieint_jax.groups import so3
 from lieint_jax.maps import kappa_exponential
 from lieint_jax.schemes import torqued_midpoint
 from lieint_jax.systems import damped_body, torqued_body
-from lieint_jax.types import StepInfo
-from lieint_jax.types.tangent import distance
-from lieint_jax.types.vectors import Vector
 
 pytestmark = pytest.mark.long
 

@@ -62,7 +62,7 @@ def test_the_form_is_conserved_with_the_exact_drift_only():
         assert defect(LOG, LOG.start(START), dt) < 5e-14
         assert defect(LOG, state, dt) < 5e-14
     assert defect(composed(LOG), state, 0.4) < 5e-14
-    erring = li.types.with_fields(LOG, drift=schemes.so3_midpoint(TOP.free))
+    erring = li.core.with_fields(LOG, drift=schemes.so3_midpoint(TOP.free))
     coarse, fine = (float(defect(erring, state, dt)) for dt in (0.8, 0.4))
     assert coarse > 1e-3
     assert 6 < coarse / fine < 20
@@ -71,7 +71,7 @@ def test_the_form_is_conserved_with_the_exact_drift_only():
 @pytest.mark.quick
 def test_the_logarithmic_hamiltonian_has_its_clock_and_kick():
     """A drift that rests leaves Δt = ½h/(K₀ + B) + ½h/(K₁ + B), K before and after the kick hF/(−V)."""
-    step, start = li.types.with_fields(LOG, drift=Rests(TOP.free)), START._replace(t=jnp.array(0.7))
+    step, start = li.core.with_fields(LOG, drift=Rests(TOP.free)), START._replace(t=jnp.array(0.7))
     end, info = once(step, start, 0.04)
     speeds = [float(TOP.free.energy(z)) - H for z in (start, end)]
     assert info.converged

@@ -17,9 +17,9 @@ from small_steps import Rests
 
 import lieint_jax as li
 from lieint_jax import diagnostics, schemes, systems
+from lieint_jax.core import State
 from lieint_jax.groups import so3
 from lieint_jax.maps import KAPPAS
-from lieint_jax.types import State
 
 pytestmark = pytest.mark.long
 

@@ -11,8 +11,8 @@ from scipy.linalg import expm
 
 import lieint_jax as li
 from lieint_jax import _discover, groups
+from lieint_jax.core import State
 from lieint_jax.diagnostics import energy_error, flow, symplectic_defect
-from lieint_jax.types import State
 
 MATRIX = _discover.modules_with("examples", groups)["matrix"]
 QUICK = {"xla_llvm_disable_expensive_passes": True}

@@ -13,8 +13,8 @@ from repeated import after
 
 import lieint_jax as li
 from lieint_jax import State, schemes, systems
+from lieint_jax.core.tangent import value_and_jacobian
 from lieint_jax.maps import kappa_cayley, kappa_exponential, kappa_symplectic
-from lieint_jax.types.tangent import value_and_jacobian
 
 pytestmark = pytest.mark.long
 

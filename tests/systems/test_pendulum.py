@@ -10,9 +10,9 @@ from repeated import state_after
 from scipy.optimize import root
 
 import lieint_jax as li
+from lieint_jax.core import State
 from lieint_jax.diagnostics import constraint_error, energy_error, flow, momentum_error, symplectic_defect
 from lieint_jax.phase_spaces import SphericalChart
-from lieint_jax.types import State
 
 pytestmark = pytest.mark.long
 

@@ -11,8 +11,8 @@ from paper import hat
 
 import lieint_jax as li
 from lieint_jax import systems
-from lieint_jax._numerics import power_series
-from lieint_jax.types import State, vectors
+from lieint_jax._numerics import power_series, vectors
+from lieint_jax.core import State
 
 MATERIALS = {
     "mooney_rivlin": systems.mooney_rivlin(2000.0, 6.0),

@@ -11,7 +11,7 @@ from scipy.integrate import quad
 from scipy.special import elliprf
 
 import lieint_jax as li
-from lieint_jax.types import vectors
+from lieint_jax._numerics import vectors
 
 W = li.systems.self_gravity(1.0, 1.0, 1.0)
 BALL = li.systems.incompressible_body(np.full(3, 0.2), W)

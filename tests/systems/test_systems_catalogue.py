@@ -6,7 +6,7 @@ import pytest
 
 import lieint_jax as li
 from lieint_jax import _discover, capabilities
-from lieint_jax.types import energy_less_work, time_derivative
+from lieint_jax.core import energy_less_work, time_derivative
 
 ENTRIES = {entry.name: entry for entry in li.systems.catalogue()}
 EXAMPLES = {name: module.examples() for name, module in _discover.modules_with("examples", li.systems).items()}

@@ -13,8 +13,8 @@ from jax import Array
 
 from lieint_jax import orbits, schemes, systems, torques
 from lieint_jax.command.published._case import case
+from lieint_jax.core import State
 from lieint_jax.groups import so3
-from lieint_jax.types import State
 
 _INERTIA = 1.58 / 1.504 * np.array([[0.0043, -0.0003, 0.0], [-0.0003, 0.0049, 0.0], [0.0, 0.0, 0.0035]])  # kg m²
 _TURNS, _OHMS, _AREAS = np.array([40, 56, 28]), np.array([12.2, 16.8, 14.4]), np.array([4218e-6, 3150e-6, 7091e-6])

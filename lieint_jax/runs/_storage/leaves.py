@@ -6,7 +6,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from lieint_jax.types import State, state_from_leaves
+from lieint_jax.core import State, state_from_leaves
 
 Table = dict[str, Any]  # an object of JSON
 STEP = "step"  # the group of the arrays of the step

@@ -17,7 +17,7 @@ from pathlib import Path, PurePosixPath
 from typing import Any, NamedTuple
 from urllib.parse import urlsplit
 
-from lieint_jax.types.record import record
+from lieint_jax.core.record import record
 
 ROOT = "zarr.json"  # the file of the metadata of an array, and of those of a whole store
 REQUESTS = 16  # at the same time, to object storage or to a disk

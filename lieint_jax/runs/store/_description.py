@@ -17,9 +17,9 @@ from typing import Any
 import jax
 import numpy as np
 
+from lieint_jax.core import Partitioned, Step, callable_pytree, from_fields
 from lieint_jax.groups import MatrixGroup
 from lieint_jax.runs._storage.leaves import store_name
-from lieint_jax.types import Partitioned, Step, callable_pytree, from_fields
 
 _PACKAGE = __name__.partition(".")[0]
 

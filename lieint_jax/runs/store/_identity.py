@@ -12,6 +12,7 @@ from pathlib import Path
 
 import jax
 
+from lieint_jax.core import leaves_by_name
 from lieint_jax.runs._clock import GridClock
 from lieint_jax.runs._digests import digest_of_arrays, reason_of
 from lieint_jax.runs._engine import Engine
@@ -20,7 +21,6 @@ from lieint_jax.runs._loop import compiler_options
 from lieint_jax.runs._plan import Plan
 from lieint_jax.runs._storage.leaves import Table
 from lieint_jax.runs._storage.storage import Address
-from lieint_jax.types import leaves_by_name
 
 _MACHINE = ("device", "engine", "compiler_options", "XLA_FLAGS")  # keys of a description, besides the versions
 _EQUATIONS = ("equations of the step", "equations of reduce", "equations of first", "states that the function makes")

@@ -8,6 +8,8 @@ from collections.abc import Mapping
 import numpy as np
 from numpy.typing import DTypeLike
 
+from lieint_jax.core import leaves_by_name
+from lieint_jax.runs import labeled
 from lieint_jax.runs._devices import Numbers
 from lieint_jax.runs._dyadic_sum import blocks
 from lieint_jax.runs._plan import Plan
@@ -17,7 +19,6 @@ from lieint_jax.runs._storage.leaves import Table, step_array, store_name
 from lieint_jax.runs._storage.storage import ROOT, StoreOptions
 from lieint_jax.runs.store._description import describe
 from lieint_jax.runs.store._root import FORMAT, START, encode_root, nodes_of
-from lieint_jax.types import labeled, leaves_by_name
 
 _RESIDUAL = "largest residual of a step since the entry before"
 _MEMBER_TEXTS = {

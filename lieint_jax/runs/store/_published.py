@@ -7,12 +7,12 @@ from typing import Any
 
 import numpy as np
 
+from lieint_jax.core import StepInfo, Trajectory
 from lieint_jax.runs._dyadic_sum import blocks, total
 from lieint_jax.runs._storage.arrays import StoredArray, first_of
 from lieint_jax.runs._storage.leaves import Saves, Table, states_in
 from lieint_jax.runs._storage.untrusted import UnreadableError
 from lieint_jax.runs.store._root import PartState, Root
-from lieint_jax.types import StepInfo, Trajectory
 
 
 class PublishedArray:

@@ -11,6 +11,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from lieint_jax.core import Step, System, Trajectory, pytree, static
 from lieint_jax.runs._loop import Change
 from lieint_jax.runs._storage.arrays import StoredArray, first_of
 from lieint_jax.runs._storage.files import open_storage
@@ -22,7 +23,6 @@ from lieint_jax.runs.store import _published
 from lieint_jax.runs.store._description import UnknownNameError, make
 from lieint_jax.runs.store._published import PublishedArray
 from lieint_jax.runs.store._root import PartState, Root, check_store, written_root
-from lieint_jax.types import Step, System, Trajectory, pytree, static
 
 _T = TypeVar("_T")
 

@@ -9,6 +9,7 @@ from typing import Any
 import jax
 import numpy as np
 
+from lieint_jax.core import StepInfo, leaves_by_name, state_from_leaves
 from lieint_jax.runs import _devices as devices
 from lieint_jax.runs._devices import Numbers, Tree
 from lieint_jax.runs._loop import Carry, Change
@@ -16,7 +17,6 @@ from lieint_jax.runs._plan import Plan
 from lieint_jax.runs._storage.leaves import Table, store_name
 from lieint_jax.runs._summary import Series
 from lieint_jax.runs.store._writer import Slab, Writer
-from lieint_jax.types import StepInfo, leaves_by_name, state_from_leaves
 
 Pending = Any  # saved rows, or the series of a reduction by name
 SLAB = 8  # chunks of members that are joined along time, and written, at once

@@ -19,7 +19,7 @@ from typing import Any
 
 from jax import Array, lax
 
-from lieint_jax.types.shapes import Scalar
+from lieint_jax._numerics.arrays import Scalar
 
 _Powers = tuple[int, int]
 _Polynomials = Mapping[_Powers, Mapping[_Powers, float]]

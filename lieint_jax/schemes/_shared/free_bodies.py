@@ -11,9 +11,9 @@ import jax.numpy as jnp
 from jax import Array
 from jax.typing import ArrayLike
 
+from lieint_jax._numerics.arrays import Inertia
 from lieint_jax.capabilities import AbstractFreeBodies, AbstractFreeBody
-from lieint_jax.types import State, Step, StepInfo, pytree
-from lieint_jax.types.shapes import Inertia
+from lieint_jax.core import State, Step, StepInfo, pytree
 
 
 @pytree

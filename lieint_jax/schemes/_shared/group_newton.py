@@ -18,11 +18,11 @@ from jax.typing import ArrayLike
 
 from lieint_jax._numerics import newton
 from lieint_jax._numerics import small_linalg as la
+from lieint_jax._numerics.arrays import AlgebraVector
+from lieint_jax._numerics.vectors import Matrix, components
 from lieint_jax.capabilities import AbstractMechanicalSystem, AbstractMetricSystem, AbstractRightGeodesicFlow
+from lieint_jax.core import AnalyticGroup, Group, State, StepInfo
 from lieint_jax.maps import Map, Tau, derivative
-from lieint_jax.types import AnalyticGroup, Group, State, StepInfo
-from lieint_jax.types.shapes import AlgebraVector
-from lieint_jax.types.vectors import Matrix, components
 
 
 def any_map(tau: Tau | Map) -> Tau:

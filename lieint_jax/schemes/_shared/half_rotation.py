@@ -22,12 +22,8 @@ from jax import Array, lax
 from jax.typing import ArrayLike, DTypeLike
 
 from lieint_jax._numerics import newton
-from lieint_jax.capabilities import AbstractFreeBody, AbstractGyrostat
-from lieint_jax.groups import so3
-from lieint_jax.maps import Kappa
-from lieint_jax.types import State, StepInfo
-from lieint_jax.types.shapes import Flag, Scalar, Vector3
-from lieint_jax.types.vectors import (
+from lieint_jax._numerics.arrays import Flag, Scalar, Vector3
+from lieint_jax._numerics.vectors import (
     Matrix,
     Symmetric,
     Vector,
@@ -40,6 +36,10 @@ from lieint_jax.types.vectors import (
     unit_trace,
     vector,
 )
+from lieint_jax.capabilities import AbstractFreeBody, AbstractGyrostat
+from lieint_jax.core import State, StepInfo
+from lieint_jax.groups import so3
+from lieint_jax.maps import Kappa
 
 ITERATIONS = {"scalar": 3, "vector": 4}  # Newton corrections per step, by the form of the equation
 SLENDER = (

@@ -15,10 +15,10 @@ import jax.numpy as jnp
 from jax import Array
 from jax.typing import ArrayLike
 
+from lieint_jax._numerics.vectors import Symmetric, dot, symmetric
 from lieint_jax.capabilities import AbstractBodyInTime
+from lieint_jax.core import State, StepInfo, clock
 from lieint_jax.groups import so3
-from lieint_jax.types import State, StepInfo, clock
-from lieint_jax.types.vectors import Symmetric, dot, symmetric
 
 
 def step_in_time(

@@ -6,11 +6,11 @@ import jax.numpy as jnp
 from jax import Array
 
 from lieint_jax._numerics import newton
+from lieint_jax._numerics.arrays import Scalar, Vector3
 from lieint_jax._numerics.power_series import stumpff
 from lieint_jax._numerics.select import where
-from lieint_jax.types import StepInfo
-from lieint_jax.types.shapes import Scalar, Vector3
-from lieint_jax.types.vectors import dot, norm
+from lieint_jax._numerics.vectors import dot, norm
+from lieint_jax.core import StepInfo
 
 _ITERATIONS = 4  # corrections of Kepler's equation, each of order 4
 

@@ -5,8 +5,8 @@ from __future__ import annotations
 import jax.numpy as jnp
 from jax import Array
 
+from lieint_jax._numerics.vectors import symmetric
 from lieint_jax.groups import so3
-from lieint_jax.types.vectors import symmetric
 
 
 def thermalized(

@@ -19,13 +19,7 @@ from jax import Array, lax
 
 from lieint_jax._numerics import newton
 from lieint_jax._numerics import small_linalg as la
-from lieint_jax._numerics.equation import ImplicitEquation
-from lieint_jax.capabilities import AbstractTorquedBody
-from lieint_jax.groups import so3
-from lieint_jax.maps import Kappa
-from lieint_jax.schemes._shared.half_rotation import gyration, gyration_matrix, on_branch
-from lieint_jax.types import Law, Rotation, State, StepInfo, clock
-from lieint_jax.types.vectors import (
+from lieint_jax._numerics.vectors import (
     Matrix,
     Symmetric,
     Vector,
@@ -37,6 +31,12 @@ from lieint_jax.types.vectors import (
     unit_trace,
     vector,
 )
+from lieint_jax.capabilities import AbstractTorquedBody
+from lieint_jax.core import Law, Rotation, State, StepInfo, clock
+from lieint_jax.groups import so3
+from lieint_jax.maps import Kappa
+from lieint_jax.schemes._shared.equation import ImplicitEquation
+from lieint_jax.schemes._shared.half_rotation import gyration, gyration_matrix, on_branch
 
 _SHORT = 0.25  # the cheap first correction (J for the Jacobian) is used if shorter than this part of |½ΔtΩ_n|
 _Each = list[tuple[Array, Any, Any]]

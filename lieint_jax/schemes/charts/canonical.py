@@ -26,6 +26,8 @@ import jax
 import jax.numpy as jnp
 from jax import Array
 
+from lieint_jax._numerics import vectors
+from lieint_jax._numerics.vectors import Matrix, Symmetric, Vector, cross, dot, vector
 from lieint_jax.capabilities import (
     AbstractDrivenSystem,
     AbstractDrivenTop,
@@ -34,12 +36,11 @@ from lieint_jax.capabilities import (
     AbstractMechanicalSystem,
     AbstractTop,
 )
+from lieint_jax.core import State, System, gradient
 from lieint_jax.groups import so3
 from lieint_jax.phase_spaces import CotangentGroup, CotangentMatrices, CotangentMotions
 from lieint_jax.schemes.charts._chart import Chart
 from lieint_jax.schemes.charts.body_axes import axis_in_body, quat_times_vec, scalar_and_vector
-from lieint_jax.types import State, System, gradient, vectors
-from lieint_jax.types.vectors import Matrix, Symmetric, Vector, cross, dot, vector
 
 Components = tuple[Array, ...]
 

@@ -10,7 +10,7 @@ from typing import Any, TypeVar, cast
 from numpy.typing import ArrayLike
 
 from lieint_jax import _checks
-from lieint_jax.types import State, clock
+from lieint_jax.core import State, clock
 
 _F = TypeVar("_F", bound=Callable[..., Any])
 

@@ -13,12 +13,13 @@ from numpy.typing import ArrayLike
 from lieint_jax import _checks, _free_body
 from lieint_jax._checks import concrete
 from lieint_jax._free_body import Periods
+from lieint_jax._numerics import vectors
+from lieint_jax._numerics.arrays import MomentumMap, Quaternion, Scalar, Vector3
 from lieint_jax._xla import compiled
 from lieint_jax.capabilities import AbstractRotatingBody
+from lieint_jax.core import State
 from lieint_jax.groups import so3
 from lieint_jax.systems._shared.arguments import check_timed, explained, timed
-from lieint_jax.types import State, vectors
-from lieint_jax.types.shapes import MomentumMap, Quaternion, Scalar, Vector3
 
 as_inertia = partial(_checks.inertia, stacklevel=4)  # a field's converter: it warns where the class is called
 

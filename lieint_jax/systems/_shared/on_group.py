@@ -13,13 +13,14 @@ from numpy.typing import ArrayLike
 
 from lieint_jax import _checks
 from lieint_jax._checks import at_once, concrete
+from lieint_jax._numerics import vectors
+from lieint_jax._numerics.arrays import MomentumMap, Scalar
 from lieint_jax._numerics.small_linalg import flat
 from lieint_jax._xla import compiled
 from lieint_jax.capabilities import AbstractMetricSystem
+from lieint_jax.core import Group, State
 from lieint_jax.groups import so3
 from lieint_jax.systems._shared.arguments import explained
-from lieint_jax.types import Group, State, vectors
-from lieint_jax.types.shapes import MomentumMap, Scalar
 
 
 class OnGroup(AbstractMetricSystem):

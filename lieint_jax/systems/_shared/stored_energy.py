@@ -20,19 +20,11 @@ from jax import Array
 
 from lieint_jax import _checks
 from lieint_jax._checks import named, positive
-from lieint_jax._numerics import power_series
-from lieint_jax.types import (
-    Converted,
-    StoredEnergy,
-    argument,
-    autodiff_gradient,
-    callable_pytree,
-    pytree,
-    static,
-    vectors,
-)
-from lieint_jax.types.shapes import Matrix3, Scalar
-from lieint_jax.types.vectors import Symmetric
+from lieint_jax._numerics import power_series, vectors
+from lieint_jax._numerics.arrays import Matrix3, Scalar
+from lieint_jax._numerics.gradients import autodiff_gradient
+from lieint_jax._numerics.vectors import Symmetric
+from lieint_jax.core import Converted, StoredEnergy, argument, callable_pytree, pytree, static
 
 _NODES, _WEIGHTS = np.polynomial.legendre.leggauss(8)
 

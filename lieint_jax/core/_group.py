@@ -7,8 +7,7 @@ from typing import Protocol, runtime_checkable
 import numpy as np
 from jax import Array
 
-from lieint_jax.types._state import State
-from lieint_jax.types.shapes import (
+from lieint_jax._numerics.arrays import (
     AlgebraVector,
     DualVector,
     Flag,
@@ -19,6 +18,7 @@ from lieint_jax.types.shapes import (
     Scalar,
     Unrolled,
 )
+from lieint_jax.core._state import State
 
 __all__ = ["AnalyticGroup", "Group", "PhaseSpace", "SpaceWithTangents", "SpaceWithUnits"]
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from functools import partial
-from typing import Any, Self, TypeVar, final
+from typing import Any, ClassVar, Self, TypeVar, final
 
 import jax
 import jax.numpy as jnp
@@ -13,12 +13,11 @@ from jax import Array
 from jax.typing import ArrayLike
 
 from lieint_jax._checks import at_once, concrete, dtype_of, name_of, outermost, real_array, snake_case, step_size
+from lieint_jax._numerics.arrays import Flag, PhaseVector, PyTree, TangentVectors, Time
 from lieint_jax._xla import compiled, differ, materialized_arrays, with_materialized_derivatives
-from lieint_jax.native import scan
-from lieint_jax.types._group import PhaseSpace, SpaceWithTangents
-from lieint_jax.types._state import State, StepInfo, all_finite
-from lieint_jax.types._system import System
-from lieint_jax.types.shapes import Flag, PhaseVector, PyTree, TangentVectors, Time
+from lieint_jax.core._group import PhaseSpace, SpaceWithTangents
+from lieint_jax.core._state import State, StepInfo, all_finite
+from lieint_jax.core._system import System
 
 __all__ = ["Step", "StepError", "checked_step", "converges", "promoted", "push_forward", "start_time"]
 
@@ -62,6 +61,7 @@ class Step:
     loops: bool = False
     commuting: bool = False
     velocity_weight: ArrayLike = 0.5
+    loop_in_shards: ClassVar[Callable[..., Any]] = staticmethod(jax.lax.scan)  # `runs` puts its own loop here
 
     def __init_subclass__(cls, **options: object) -> None:
         super().__init_subclass__(**options)
@@ -78,7 +78,7 @@ class Step:
     def __call__(self, state: State, dt: ArrayLike) -> tuple[State, StepInfo]:
         """One step: the state at t + dt, and a report, which is `converged` only if that state is finite."""
         if differ((self, state, dt)):  # as a loop of one step, which JAX need not trace with the types of shards
-            found = scan(lambda given, _: (given, self(*given)), (state, dt), length=1)[1]
+            found = self.loop_in_shards(lambda given, _: (given, self(*given)), (state, dt), length=1)[1]
             return jax.tree.map(lambda x: x[0], found)
         end, info = self.substep(state, dt)
         return end, _finite_or_flagged(info, end)

@@ -41,3 +41,9 @@ def fields_text(value: Any) -> str:
     """A dataclass in one line, such as `Law(strength=1., table=float64[13, 13])`."""
     shown = (f"{x.name}={short_text(getattr(value, x.name))}" for x in dataclasses.fields(value) if x.repr)
     return f"{type(value).__qualname__}({', '.join(shown)})"
+
+
+def named_fields_text(value: Any) -> str:
+    """A named tuple in one line, without its fields that are None."""
+    shown = [f"{name}={short_text(x)}" for name, x in zip(value._fields, value, strict=True) if x is not None]
+    return f"{type(value).__name__}({', '.join(shown)})"

@@ -11,10 +11,11 @@ from jax import Array
 from jax.typing import DTypeLike
 
 from lieint_jax._checks import closed_form
-from lieint_jax.types.shapes import Matrix3, PyTree, Scalar, Time, Vector3
-from lieint_jax.types.vectors import Symmetric
+from lieint_jax._numerics.arrays import Matrix3, Scalar, Time, Vector3
+from lieint_jax._numerics.gradients import autodiff_gradient
+from lieint_jax._numerics.vectors import Symmetric
 
-__all__ = ["PotentialWithGradient", "StoredEnergy", "autodiff_gradient", "check_gradient", "gradient"]
+__all__ = ["PotentialWithGradient", "StoredEnergy", "check_gradient", "gradient"]
 
 
 class PotentialWithGradient(abc.ABC):
@@ -53,24 +54,10 @@ def check_gradient(potential: Callable[..., Array], dtype: DTypeLike, driven: bo
     )
 
 
-def autodiff_gradient(potential: Callable[..., Array], argnums: int | tuple[int, ...] = 0) -> Callable[..., PyTree]:
-    """`jax.grad(potential, argnums)`, but NaN where the potential itself is not finite.
-
-    The derivative of log x is finite for x < 0, where log x is NaN: a step would continue where there is no motion.
-    """
-
-    def gradient(*arguments: Array) -> PyTree:
-        V, slopes = jax.value_and_grad(potential, argnums)(*arguments)
-        defined = jnp.isfinite(V)
-        return jax.tree.map(lambda slope: jnp.where(defined, slope, jnp.nan), slopes)
-
-    return gradient
-
-
 class StoredEnergy(abc.ABC):
     """W(C), an energy, of the right Cauchy–Green tensor C = FᵀF, shape (3, 3).
 
-    Symmetric tensors are tuples of six entries (xx, yy, zz, yz, xz, xy) with operators, see `types.vectors`.
+    Symmetric tensors are tuples of six entries (xx, yy, zz, yz, xz, xy) with operators, see `_numerics.vectors`.
     """
 
     @abc.abstractmethod

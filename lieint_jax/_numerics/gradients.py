@@ -1,4 +1,4 @@
-"""The discrete gradient of any function: the mean of its gradient, corrected along the step (Gonzalez 1996)."""
+"""Gradients of any function: its derivative, and the mean of it along a step, corrected (Gonzalez 1996)."""
 
 from __future__ import annotations
 
@@ -9,9 +9,23 @@ import jax.numpy as jnp
 import numpy as np
 from jax import Array
 
-from lieint_jax.types import autodiff_gradient
+from lieint_jax._numerics.arrays import PyTree
 
 _NODES, _WEIGHTS = np.polynomial.legendre.leggauss(4)
+
+
+def autodiff_gradient(potential: Callable[..., Array], argnums: int | tuple[int, ...] = 0) -> Callable[..., PyTree]:
+    """`jax.grad(potential, argnums)`, but NaN where the potential itself is not finite.
+
+    The derivative of log x is finite for x < 0, where log x is NaN: a step would continue where there is no motion.
+    """
+
+    def gradient(*arguments: Array) -> PyTree:
+        V, slopes = jax.value_and_grad(potential, argnums)(*arguments)
+        defined = jnp.isfinite(V)
+        return jax.tree.map(lambda slope: jnp.where(defined, slope, jnp.nan), slopes)
+
+    return gradient
 
 
 def discrete_gradient(function: Callable[..., Array], a: Array, b: Array, apart: float, *more: Array) -> Array:

@@ -11,12 +11,12 @@ import jax.numpy as jnp
 import numpy as np
 from jax import Array
 
+from lieint_jax._numerics.arrays import PhaseVector, Scalar, TangentVectors
 from lieint_jax._xla import compiled
-from lieint_jax.types._group import PhaseSpace, SpaceWithUnits
-from lieint_jax.types._state import State
-from lieint_jax.types._step import push_forward
-from lieint_jax.types._system import System, time_derivative
-from lieint_jax.types.shapes import PhaseVector, Scalar, TangentVectors
+from lieint_jax.core._group import PhaseSpace, SpaceWithUnits
+from lieint_jax.core._state import State
+from lieint_jax.core._step import push_forward
+from lieint_jax.core._system import System, time_derivative
 
 _Aux = TypeVar("_Aux")
 

@@ -9,7 +9,7 @@ import jax
 from jax import lax
 
 from lieint_jax._xla import materialized_arrays, rematerialized, saved
-from lieint_jax.types import StepInfo
+from lieint_jax.core import StepInfo
 
 _Carry = TypeVar("_Carry")
 

@@ -12,8 +12,8 @@ from jax import Array
 from jax.typing import ArrayLike
 
 from lieint_jax._checks import name_of, snake_case
-from lieint_jax.types._pytree import callable_pytree, pytree, static
-from lieint_jax.types.shapes import PyTree
+from lieint_jax._numerics.arrays import PyTree
+from lieint_jax.core._pytree import callable_pytree, pytree, static
 
 __all__ = ["Function", "Law", "LawSum", "Rotation", "as_law", "instant", "labels", "laws_of", "parts", "total"]
 

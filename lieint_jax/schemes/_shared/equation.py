@@ -17,7 +17,7 @@ from jax.flatten_util import ravel_pytree
 from lieint_jax._numerics import block_tridiagonal, newton
 from lieint_jax._numerics.block_tridiagonal import BlockTridiagonal
 from lieint_jax._numerics.small_linalg import Factored
-from lieint_jax.types import StepInfo
+from lieint_jax.core import StepInfo
 
 _CONVERGED = 32  # eps: the largest last change of an iteration that converged
 _Unknown = TypeVar("_Unknown")

@@ -1,4 +1,4 @@
-"""Trajectories for other packages, as labeled arrays of xarray and rotations of scipy; one-line summaries of states."""
+"""Trajectories for other packages, as labeled arrays of xarray, tables of pandas and rotations of scipy."""
 
 from __future__ import annotations
 
@@ -12,11 +12,10 @@ import jax.numpy as jnp
 import numpy as np
 from jax import Array
 
-from lieint_jax._checks import concrete, dtype_of
-from lieint_jax.types._torque import labels as laws_of
-from lieint_jax.types.members import Axis, Run, axes, map_over_run
-from lieint_jax.types.shapes import PyTree
-from lieint_jax.types.text import short_text
+from lieint_jax._numerics.arrays import PyTree
+from lieint_jax.core import Trajectory
+from lieint_jax.core import labels as laws_of
+from lieint_jax.runs.members import Axis, axes, map_over_run
 
 _BODIES = {  # by the name and the number of components of each body
     ("q", 7): ("pose", ["x", "y", "z", "qw", "qx", "qy", "qz"]),
@@ -38,24 +37,8 @@ _TEXTS = {
 }
 
 
-def fields(value: PyTree) -> str:
-    """A named tuple in one line, without its fields that are None."""
-    shown = [f"{name}={short_text(x)}" for name, x in zip(value._fields, value, strict=True) if x is not None]
-    return f"{type(value).__name__}({', '.join(shown)})"
-
-
-def trajectory(run: Run) -> str:
-    """A trajectory in one line."""
-    if dtype_of(run.t) is None or not concrete(run) or run.t.ndim != 1:
-        return fields(run)
-    members = "" if run.info.converged.ndim == 1 else f" of {run.info.converged.shape[1]} members"
-    missed = int((~np.asarray(run.info.converged)).sum())
-    fate = "all converged" if not missed else f"{missed} not converged"
-    return f"Trajectory({len(run.t)} entries{members}, t = {run.t[0]:.6g} … {run.t[-1]:.6g}, {fate}, {run.state})"
-
-
-def dataset(run: Run, system: PyTree, units: Mapping[str, str], system_axis: Axis) -> Any:
-    """An `xarray.Dataset` of a trajectory; see `Trajectory.to_xarray`."""
+def dataset(run: Trajectory, system: PyTree, units: Mapping[str, str], system_axis: Axis) -> Any:
+    """An `xarray.Dataset` of a trajectory; see `Run.to_xarray`."""
     leading, arrays = axes(run), _arrays(run, system, system_axis)
     labels: dict[str, PyTree] = {"time": np.asarray(run.t)}
     variables: dict[str, PyTree] = {}
@@ -75,7 +58,7 @@ def dataset(run: Run, system: PyTree, units: Mapping[str, str], system_axis: Axi
     return found
 
 
-def _arrays(run: Run, system: PyTree, system_axis: Axis) -> dict[str, Any]:
+def _arrays(run: Trajectory, system: PyTree, system_axis: Axis) -> dict[str, Any]:
     """The arrays along a run by name; with a system, also what it conserves."""
     extra = {f"extra_{name}": x for name, x in (run.state.extra or {}).items()}
     leaves = {**run.state._asdict(), **extra, **run.info._asdict()}
@@ -83,7 +66,7 @@ def _arrays(run: Run, system: PyTree, system_axis: Axis) -> dict[str, Any]:
     return arrays if system is None else arrays | _invariants(run, system, system_axis)
 
 
-def frame(run: Run, system: PyTree, system_axis: Axis) -> Any:
+def frame(run: Trajectory, system: PyTree, system_axis: Axis) -> Any:
     """A `pandas.DataFrame` of a trajectory: a row for each time and member, a column for each component."""
     leading = axes(run)
     shape = (len(run.t), *np.shape(run.info.residual)[1:])
@@ -99,8 +82,8 @@ def frame(run: Run, system: PyTree, system_axis: Axis) -> Any:
     return _package("pandas").DataFrame({name: np.ravel(x) for name, x in columns.items()})
 
 
-def rotations(run: Run) -> Any:
-    """The attitudes of a trajectory as `scipy.spatial.transform.Rotation`; see `Trajectory.rotations`."""
+def rotations(run: Trajectory) -> Any:
+    """The attitudes of a trajectory as `scipy.spatial.transform.Rotation`; see `Run.rotations`."""
     q = np.asarray(run.state.q)
     own = q.shape[len(axes(run)) :]
     if own == (3, 3):
@@ -139,7 +122,7 @@ def _has_axes(system: PyTree) -> bool:
     return True
 
 
-def _invariants(run: Run, system: PyTree, system_axis: Axis) -> dict[str, Array]:
+def _invariants(run: Trajectory, system: PyTree, system_axis: Axis) -> dict[str, Array]:
     """Energy, momentum map, and the angular velocity in the body, where the system has them."""
     if not hasattr(system, "energy"):
         raise ValueError(f"system must be that of the run, such as step.system, got a {type(system).__name__}")

@@ -9,10 +9,10 @@ import jax
 import jax.numpy as jnp
 from jax import Array
 
-from lieint_jax.types._group import PhaseSpace
-from lieint_jax.types._state import State
-from lieint_jax.types._torque import Law
-from lieint_jax.types.shapes import MomentumMap, Scalar
+from lieint_jax._numerics.arrays import MomentumMap, Scalar
+from lieint_jax.core._group import PhaseSpace
+from lieint_jax.core._law import Law
+from lieint_jax.core._state import State
 
 __all__ = ["System", "energy_less_work", "time_derivative"]
 

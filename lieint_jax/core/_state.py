@@ -2,18 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jax import Array, lax
 from jax.typing import ArrayLike
 
-from lieint_jax.types import labeled
-from lieint_jax.types.members import Axis, map_over_run
-from lieint_jax.types.record import record
-from lieint_jax.types.shapes import Flag, PyTree, Time
+from lieint_jax._checks import concrete, dtype_of
+from lieint_jax._numerics.arrays import Flag, PyTree, Time
+from lieint_jax.core.record import record
+from lieint_jax.core.text import named_fields_text
 
 __all__ = [
     "State",
@@ -23,7 +23,6 @@ __all__ = [
     "clock",
     "counts_work",
     "leaves_by_name",
-    "periods_of",
     "state_from_leaves",
 ]
 
@@ -54,7 +53,7 @@ class State(NamedTuple):
     extra: dict[str, Array] | None = None
 
     def __repr__(self) -> str:
-        return labeled.fields(self)
+        return named_fields_text(self)
 
 
 @record
@@ -72,7 +71,7 @@ class StepInfo(NamedTuple):
     converged: Array
 
     def __repr__(self) -> str:
-        return labeled.fields(self)
+        return named_fields_text(self)
 
     def merge(self, other: StepInfo) -> StepInfo:
         """The report of both: the larger residual, and whether both converged."""
@@ -94,6 +93,8 @@ class StepInfo(NamedTuple):
 class Trajectory(NamedTuple):
     """States at the saved times; every leaf has a leading time axis and entry 0 is the initial state.
 
+    `li.Run.of(step, trajectory)` answers the questions of a run: errors of energy and momentum, attitudes, tables.
+
     Attributes:
         t: times, shape (n+1,).
         state: the states.
@@ -105,64 +106,14 @@ class Trajectory(NamedTuple):
     info: StepInfo
 
     def __repr__(self) -> str:
-        return labeled.trajectory(self)
-
-    def to_xarray(self, system: Any = None, units: Mapping[str, str] | None = None, system_axis: Axis = "auto") -> Any:
-        """The trajectory as an `xarray.Dataset`, with the dimensions `time`, and `member` for a batch.
-
-        Its variables are q, p, the other leaves that the states have (those of `extra` as extra_NAME), residual and
-        converged. Quaternions have the dimension `quaternion` with labels w, x, y, z, vectors `axis` with x, y, z;
-        several bodies have `body`, and `pose` (x, y, z, qw, qx, qy, qz) or `momenta` (px, py, pz, pix, piy, piz).
-
-        Args:
-            system: the system of the run; adds the variables energy and momentum_map, and angular_velocity (in body
-                axes) where the system has one.
-            units: units by name of a variable or of the coordinate time, such as {"time": "d"}; by default none.
-            system_axis: for a batch, None if all members have one system, 0 if there is one per member, on the leading
-                axis of the leaves (`own_step=True` of `li.run`); with "auto" as in `diagnostics.energy_error`.
-
-        Raises:
-            ValueError: `units` names no variable; the shapes contradict `system_axis`; the axes of the run are (member,
-                time).
-            ImportError: xarray is not installed.
-        """
-        return labeled.dataset(self, system, units or {}, system_axis)
-
-    def periods(self, body: Any, system_axis: Axis = "auto") -> Any:
-        """The mean periods of precession and rotation of a tumbling body along a run, and its mode.
-
-        They are `body.periods` of each state: under torques, those of the torque-free motion from that state.
-
-        Args:
-            body: the system of the run, with a method `periods`, such as `systems.rigid_body(…)`.
-            system_axis: for a batch, as in `to_xarray`.
-
-        Returns:
-            `Periods`, arrays of shape (n+1,), or (n+1, members).
-
-        Raises:
-            ValueError: the system has no periods; the shapes contradict `system_axis`.
-        """
-        return map_over_run(periods_of, body, self, system_axis)
-
-    def rotations(self) -> Any:
-        """The attitudes, body to space, as `scipy.spatial.transform.Rotation` of shape (n+1, …).
-
-        `.as_euler("ZXZ", degrees=True)` returns Euler angles of any sequence: capitals mean successive rotations about
-        the axes of the body, small letters about those of space. scipy before 1.17 accepts one member of a batch only:
-        `jax.tree.map(lambda x: x[:, k], (run.state, run.info))`.
-
-        Raises:
-            ValueError: q does not hold quaternions.
-        """
-        return labeled.rotations(self)
-
-
-def periods_of(body: Any, state: State) -> Any:
-    """`body.periods(state)`; ValueError if the system has none."""
-    if not hasattr(body, "periods"):
-        raise ValueError(f"the system of the run must have periods, as bodies on T*SO(3) do; got {body!r}")
-    return body.periods(state)
+        if dtype_of(self.t) is None or not concrete(self) or self.t.ndim != 1:
+            return named_fields_text(self)
+        members = "" if self.info.converged.ndim == 1 else f" of {self.info.converged.shape[1]} members"
+        missed = int((~np.asarray(self.info.converged)).sum())
+        fate = "all converged" if not missed else f"{missed} not converged"
+        return (
+            f"Trajectory({len(self.t)} entries{members}, t = {self.t[0]:.6g} … {self.t[-1]:.6g}, {fate}, {self.state})"
+        )
 
 
 def counts_work(state: State) -> bool:

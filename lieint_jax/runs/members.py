@@ -3,32 +3,21 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Literal, Protocol, Self
+from typing import Literal
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import Array, lax
 
+from lieint_jax._numerics.arrays import PyTree
 from lieint_jax._xla import remembered
-from lieint_jax.types.shapes import PyTree
+from lieint_jax.core import Trajectory
 
 Axis = int | Literal["auto"] | None
 
 
-class Run(Protocol):
-    """The fields of a trajectory, a named tuple, that this module reads."""
-
-    @property
-    def t(self) -> Array: ...
-    @property
-    def state(self) -> PyTree: ...
-    @property
-    def info(self) -> PyTree: ...
-    def _replace(self, *, state: PyTree) -> Self: ...
-
-
-def axes(run: Run) -> tuple[str, ...]:
+def axes(run: Trajectory) -> tuple[str, ...]:
     """The names of the leading axes of a trajectory's states: time, and member for a batch."""
     if np.ndim(run.t) != 1:
         raise ValueError(
@@ -40,7 +29,7 @@ def axes(run: Run) -> tuple[str, ...]:
 
 
 def map_over_run(
-    function: Callable[[PyTree, PyTree], Array], system: PyTree, run: Run, system_axis: Axis = "auto"
+    function: Callable[[PyTree, PyTree], Array], system: PyTree, run: Trajectory, system_axis: Axis = "auto"
 ) -> Array:
     """The values of function(system, state) along a run: (times, …), or (times, members, …) for a batch.
 

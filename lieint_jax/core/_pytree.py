@@ -11,13 +11,13 @@ import jax
 import numpy as np
 
 from lieint_jax._checks import dtype_of, name_of
-from lieint_jax.types.text import fields_text
+from lieint_jax.core.text import fields_text
 
 MYPY = False  # mypy takes this for True
 if MYPY:
-    from lieint_jax.types._of_mypy import Converted as Converted
+    from lieint_jax.core._of_mypy import Converted as Converted
 else:
-    from lieint_jax.types.shapes import Converted as Converted
+    from lieint_jax._numerics.arrays import Converted as Converted
 
 __all__ = ["Converted", "Partitioned", "argument", "callable_pytree", "from_fields", "pytree", "static", "with_fields"]
 
