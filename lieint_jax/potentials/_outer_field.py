@@ -105,7 +105,7 @@ def uniform_field(field: ArrayLike, weights: Any, points: Any = None) -> Uniform
 
 
 @partial(compiled, once=True)
-def _moments(w: Sequence[Array], at: Sequence[Array], order: Array) -> tuple[Array, Array]:
+def _moments(w: Sequence[Array], at: Sequence[Array], order: ArrayLike) -> tuple[Array, Array]:
     """The weights of the bodies, (N,), and their first moments about the centers of mass, (N, 3)."""
     total = jnp.concatenate([jnp.sum(x, axis=1) for x in w])
     moments = jnp.concatenate([jnp.sum(x[:, :, None] * s, axis=1) for x, s in zip(w, at, strict=True)])
