@@ -24,10 +24,10 @@ from jax.typing import ArrayLike
 
 from lieint_jax._checks import listed, named
 from lieint_jax._numerics.arrays import PyTree
+from lieint_jax._numerics.stages import scan_stages
 from lieint_jax.capabilities import AbstractFreeBody, AbstractRigidBodies, AbstractTop
 from lieint_jax.core import Converted, State, Step, StepInfo, System, laws_of, pytree, static
 from lieint_jax.schemes._catalogue import SchemeProperties
-from lieint_jax.schemes._shared.stages import scan_stages
 from lieint_jax.schemes.charts._chart import PlainState, SeveralBodies
 from lieint_jax.schemes.charts.body_axes import BODY_AXES
 

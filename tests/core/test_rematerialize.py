@@ -10,6 +10,7 @@ from jax import lax
 
 import lieint_jax as li
 from lieint_jax._numerics import newton
+from lieint_jax._numerics.stages import scan_stages
 from lieint_jax._xla import (
     forward_mode,
     materialized,
@@ -18,7 +19,6 @@ from lieint_jax._xla import (
     saved,
     with_materialized_derivatives,
 )
-from lieint_jax.schemes._shared.stages import scan_stages
 
 BODY = li.systems.rigid_body([1.0, 2.0, 3.0])
 TOP = li.systems.heavy_top([1.0, 2.0, 2.5], [0.5, 0.4, 1.0])
