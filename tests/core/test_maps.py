@@ -70,7 +70,7 @@ def _along(tau, theta):
     return so3.body_velocity(tau(so3, theta), jax.jvp(lambda s: tau(so3, s * theta), (1.0,), (1.0,))[1])
 
 
-@pytest.mark.paper("2.2: (2.29)", "κ of the exponential map", "maps.py")
+@pytest.mark.paper("2.2: (2.29)", "κ of the exponential map", "maps/_kappa.py")
 def test_scaled_cayley_is_the_map_it_is_scaled_to():
     theta = np.array([0.3, -0.5, 0.4])
     angle = np.linalg.norm(theta)

@@ -82,7 +82,7 @@ def s(request):
 THETA = np.array([0.5, -0.8, 0.3])
 
 
-@pytest.mark.paper("2.1: (2.3)–(2.7)", "exponential, Cayley and scaled Cayley maps", "maps.py")
+@pytest.mark.paper("2.1: (2.3)–(2.7)", "exponential, Cayley and scaled Cayley maps", "maps/_maps.py")
 def test_2_3_2_4_2_5_2_7_exponential_and_cayley():
     half = np.linalg.norm(THETA) / 2
     pseudo = np.tan(half) / half * THETA / 2
@@ -113,8 +113,8 @@ def test_2_9_is_preserved_by_the_exact_flow():
     assert close(L.T @ canonical @ L, canonical) > 0.1  # the canonical matrix is not the form here
 
 
-@pytest.mark.paper("2.1: (2.8), (2.9)", "the form of T*SO(3)", "phase_spaces.py")
-@pytest.mark.paper("5.1.5: (5.7)–(5.12)", "the form of T*G", "phase_spaces.py")
+@pytest.mark.paper("2.1: (2.8), (2.9)", "the form of T*SO(3)", "phase_spaces/_groups.py")
+@pytest.mark.paper("5.1.5: (5.7)–(5.12)", "the form of T*G", "phase_spaces/_groups.py")
 def test_2_9_5_7_5_9_body_form_is_the_pull_back_of_the_spatial_one():
     Q = paper.exp(THETA)
     Pi = np.array([0.3, -1.2, 0.7])

@@ -392,7 +392,7 @@ def test_for_which_groups_the_arcsine_map_is_symplectic(name, holds):
         assert not maps.is_symplectic(maps.exponential, g, jnp.array(spd(rng, g.dim)))
 
 
-arcsine_scale = jax.jit(jax.value_and_grad(maps._arcsine_of_square))
+arcsine_scale = jax.jit(jax.value_and_grad(maps._arcsine.of_square))
 
 
 @pytest.mark.quick

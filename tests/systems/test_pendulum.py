@@ -247,7 +247,7 @@ def test_a_step_back_undoes_a_step():
         np.testing.assert_allclose(state_after(run(step, there, -0.1)[0], 1)[:2], start()[:2], rtol=0, atol=4e-15)
 
 
-@pytest.mark.paper("1.1: (1.4)", "the form of T*S²", "phase_spaces.py")
+@pytest.mark.paper("1.1: (1.4)", "the form of T*S²", "phase_spaces/_sphere.py")
 def test_the_flow_is_symplectic_for_the_form_of_1_4():
     """The exact flow preserves the frame form, so the form is the right one; with its blocks exchanged it would not."""
     bob = BOBS["cubic"]

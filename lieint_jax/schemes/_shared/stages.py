@@ -1,4 +1,4 @@
-"""The substeps of a composition, one after the other."""
+"""Steps one after the other, as the stages of one step."""
 
 from __future__ import annotations
 
