@@ -16,10 +16,10 @@ from jax import Array
 from jax.typing import ArrayLike
 
 from lieint_jax._checks import at_once, concrete
-from lieint_jax.capabilities import AbstractForcedSystem
 from lieint_jax.core import State, Step, StepInfo, System, callable_pytree, promoted, pytree, static, time_derivative
 from lieint_jax.schemes._catalogue import SchemeProperties
 from lieint_jax.schemes._splitting import examples as base_examples
+from lieint_jax.systems._equations import AbstractForcedSystem
 
 __all__ = ["reversible_control"]
 
