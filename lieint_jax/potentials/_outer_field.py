@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from functools import partial, reduce
 from typing import Any
 
@@ -15,6 +15,7 @@ from numpy.typing import ArrayLike
 
 from lieint_jax import _checks
 from lieint_jax._numerics.arrays import Calls, Positions, Rotations, Scalar
+from lieint_jax._xla import compiled
 from lieint_jax.core import callable_pytree, pytree, static
 from lieint_jax.potentials._potential import Potential
 from lieint_jax.potentials._site_pairs import group_sites, site_positions
@@ -99,10 +100,16 @@ def uniform_field(field: ArrayLike, weights: Any, points: Any = None) -> Uniform
     if _checks.concrete(g) and not bool(np.any(np.asarray(g))):
         raise ValueError("field must not be 0")
     groups, at, (w,) = group_sites({"weights": weights}, points)
-    order = jnp.argsort(jnp.array([i for group in groups for i in group]))
-    total = jnp.concatenate([jnp.sum(x, axis=1) for x in w])[order]
-    moments = jnp.concatenate([jnp.sum(x[:, :, None] * s, axis=1) for x, s in zip(w, at, strict=True)])[order]
-    return UniformField(g, total, moments)
+    order = np.argsort([i for group in groups for i in group])
+    return UniformField(g, *_moments(w, at, order))
+
+
+@partial(compiled, once=True)
+def _moments(w: Sequence[Array], at: Sequence[Array], order: ArrayLike) -> tuple[Array, Array]:
+    """The weights of the bodies, (N,), and their first moments about the centers of mass, (N, 3)."""
+    total = jnp.concatenate([jnp.sum(x, axis=1) for x in w])
+    moments = jnp.concatenate([jnp.sum(x[:, :, None] * s, axis=1) for x, s in zip(w, at, strict=True)])
+    return total[order], moments[order]
 
 
 def outer_field(

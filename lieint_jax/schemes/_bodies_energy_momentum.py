@@ -25,7 +25,7 @@ import math
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import partial
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -154,10 +154,9 @@ def _check_invariants(system: AbstractRigidBodies | AbstractDissipativeBodies) -
         if type(term).__call__ is Potential.__call__ or not concrete(term):
             continue
         space, dtype = system.phase_space, system.masses.dtype
+        deltas = [0.3 * np.sin(phase + 1.7 * np.arange(space.dim)) for phase in (0.3, 2.0)]
         with at_once():
-            deltas = [0.3 * jnp.sin(phase + 1.7 * jnp.arange(space.dim)) for phase in (0.3, 2.0)]
-            poses = [space.perturb(space.origin, delta).q.astype(dtype) for delta in deltas]
-            pairs = np.array([_two_values(term, *_parts(q)) for q in poses])
+            pairs = np.array([_two_values(term, space, jnp.asarray(delta, dtype)) for delta in deltas])
         size, apart = np.abs(pairs).max(), np.abs(pairs[:, 0] - pairs[:, 1]).max()
         if np.isfinite(size) and apart > math.sqrt(float(jnp.finfo(pairs.dtype).eps)) * size:
             raise ValueError(
@@ -167,8 +166,9 @@ def _check_invariants(system: AbstractRigidBodies | AbstractDissipativeBodies) -
 
 
 @partial(compiled, once=True)
-def _two_values(potential: Callable[[Array, Array], Array], x: Array, R: Array) -> tuple[Array, Array]:
-    """V at the poses of the bodies, and at those relative to the first."""
+def _two_values(potential: Callable[[Array, Array], Array], space: Any, delta: Array) -> tuple[Array, Array]:
+    """V at poses displaced from the origin of the phase space, and at those relative to the first."""
+    x, R = _parts(space.perturb(space.origin, delta).q.astype(delta.dtype))
     form = invariant_form(potential)
     return potential(x, R), form.value(form.invariants(x, R))
 

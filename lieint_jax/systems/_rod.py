@@ -263,19 +263,20 @@ def rod(
     first, last = (_end(k, end) for k, end in enumerate(ends))
     whole = _natural_shape(internal, _first_pose(pose, first))
     first, last = (whole[k] if isinstance(end, str) else end for k, end in ((0, first), (-1, last)))
-    moving = np.arange(n + 1)[first is not None : n + 1 - (last is not None)]
+    free = slice(int(first is not None), n + 1 - (last is not None))
+    moving = np.arange(n + 1)[free]
     if not len(moving):
         raise ValueError(f"a rod of {n} element(s) with both ends held has no section that moves: use more elements")
-    m, J = (_lumped(ell, x)[moving] for x in (mass, jnp.concatenate([inertia, inertia.sum(1, keepdims=True)], axis=1)))
+    m, J = (x[free] for x in _lumped(ell, mass, inertia))
     potential, held = internal, partial(_held, first=first, last=last)
     if gravity is not None:
-        weights = jnp.zeros(n + 1).at[moving].set(m)
+        weights = jnp.zeros(n + 1).at[free].set(m)
         potential = internal + potentials.uniform_field(_checks.real_array("gravity", gravity, (3,)), weights)
     law = _damping(held(internal), damping)
     given = None if loads is None and forces is None else _loads(loads or {}, forces, moving, n)
     made: Any = rigid_bodies(m, J, held(potential), law, forces=given)  # pyright: ignore
     kind = ElasticRod if isinstance(made, RigidBodies) else DissipativeRod
-    return kind(**vars(made), natural=whole[moving])
+    return kind(**vars(made), natural=whole[free])
 
 
 PROPERTIES = SystemProperties(
@@ -328,11 +329,16 @@ def _natural_shape(internal: potentials.Rod, first: Array) -> Array:
     return internal.natural_shape(first.astype(internal.lengths.dtype))
 
 
-def _lumped(ell: Array, per_length: Array) -> Array:
-    """The sums of the halves of the elements of each section, (n + 1, …)."""
-    halves = ell.reshape(-1, *[1] * (per_length.ndim - 1)) * per_length / 2
-    none = jnp.zeros_like(halves[:1])
-    return jnp.concatenate([halves, none]) + jnp.concatenate([none, halves])
+@partial(compiled, once=True)
+def _lumped(ell: Array, mass: Array, inertia: Array) -> tuple[Array, Array]:
+    """Masses (n + 1,) and principal moments (n + 1, 3) of the sections: the halves of their elements."""
+
+    def halves(per_length: Array) -> Array:
+        half = ell.reshape(-1, *[1] * (per_length.ndim - 1)) * per_length / 2
+        none = jnp.zeros_like(half[:1])
+        return jnp.concatenate([half, none]) + jnp.concatenate([none, half])
+
+    return halves(mass), halves(jnp.concatenate([inertia, inertia.sum(1, keepdims=True)], axis=1))
 
 
 def _held(potential: potentials.Potential, first: Any, last: Any) -> Any:

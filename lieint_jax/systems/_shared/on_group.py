@@ -97,7 +97,9 @@ def _defect(group: Group, q: Array) -> Array:
 def group_element(group: Group, q: Any, dtype: DTypeLike) -> Array:
     """The element that a user gives as q; of this type the identity for None; on SO(3) any form of an attitude."""
     checked = _checks.unit_quaternion if group is so3 else _checks.real_array
-    element = _checks.as_array(group.identity, dtype) if q is None else checked("q", q)
+    if q is None:
+        return _checks.as_array(group.identity, dtype)
+    element = checked("q", q)
     check_element("q", group, element)
     return element
 
