@@ -32,7 +32,6 @@ A system and a scheme make a step; a step and states make a run.
 | `potentials`, `torques`, `tides`, `orbits` | what acts on bodies |
 | `attitude` | attitudes from other conventions: scalar last, matrices, Euler angles, modified Rodrigues parameters |
 | `files`, `dates` | files that people bring and take away, and their dates |
-| `capabilities` | equations of motion, which systems inherit and schemes integrate |
 | `plots`, `report` | pictures and the report of a run |
 | `groups`, `maps`, `phase_spaces`, `core` | the mathematics below: groups, scalings κ, symplectic forms, states |
 | `elliptic` | elliptic integrals and functions, with derivatives |
@@ -50,7 +49,6 @@ from typing import TYPE_CHECKING
 
 from lieint_jax import (
     attitude,
-    capabilities,
     core,
     dates,
     diagnostics,
@@ -111,7 +109,6 @@ __all__ = [
     "__version__",
     "attitude",
     "cache_programs",
-    "capabilities",
     "core",
     "count_cores",
     "dates",

@@ -35,5 +35,5 @@ def modules_with(attribute: str, package: ModuleType) -> dict[str, ModuleType]:
 
 
 def _modules(package: ModuleType) -> list[tuple[str, ModuleType]]:
-    names = [module.name for module in pkgutil.iter_modules(package.__path__) if not module.ispkg]
+    names = [module.name for module in pkgutil.iter_modules(package.__path__)]
     return [(name, importlib.import_module(f"{package.__name__}.{name}")) for name in names]

@@ -17,10 +17,10 @@ import jax.numpy as jnp
 import numpy as np
 
 from lieint_jax import schemes
-from lieint_jax.capabilities import AbstractManyBodies
 from lieint_jax.core import State, Step, energy_less_work
 from lieint_jax.diagnostics import Certificate, certify
 from lieint_jax.runs import Run
+from lieint_jax.systems import AbstractManyBodies
 
 __all__ = ["Change", "Published", "Row", "certificate", "changes", "new_path", "text"]
 

@@ -24,9 +24,9 @@ import numpy as np
 from lib.contest import Contestant
 
 import lieint_jax as li
-from lieint_jax.capabilities import AbstractDrivenSystem
 from lieint_jax.groups import so3
 from lieint_jax.runs import compiler_options
+from lieint_jax.systems import AbstractDrivenSystem
 
 _PACES = {"Tsit5": 6e6, "Dopri8": 1.5e6}  # body-steps a second, about
 _ROLLOUT = 100  # steps per call of MuJoCo's rollout, which keeps every state

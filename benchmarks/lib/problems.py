@@ -75,7 +75,7 @@ def composed(base: li.Step, curve: Ours, unit: float, points: int = 6, most: int
     for order, first in _COMPOSED[:most]:
         counts = growing(first * unit, points, 1.5)
         yield curve(f"compose {order}", COMPOSED, li.schemes.compose(base, order), counts)
-    if isinstance(base.system, li.capabilities.AbstractForcedSystem | li.capabilities.AbstractDrivenSystem):
+    if isinstance(base.system, li.systems.AbstractForcedSystem | li.systems.AbstractDrivenSystem):
         yield curve("nystrom 6", COMPOSED, li.schemes.nystrom(base.system, 6), growing(0.8 * unit, points, 1.4))
 
 

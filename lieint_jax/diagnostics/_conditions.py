@@ -24,18 +24,18 @@ import jax.numpy as jnp
 from jax import Array
 
 from lieint_jax._numerics.arrays import PyTree
-from lieint_jax.capabilities import (
-    AbstractElasticBody,
-    AbstractEmbeddedBody,
-    AbstractForcedSystem,
-    AbstractFreeBody,
-    AbstractGeodesicFlow,
-    AbstractMechanicalSystem,
-    AbstractTop,
-)
 from lieint_jax.core import State, Step, pytree, static
 from lieint_jax.core.tangent import size, swinging, value_and_jacobian
 from lieint_jax.groups import so3
+from lieint_jax.systems import (
+    AbstractForcedSystem,
+    AbstractFreeBody,
+    EmbeddedBody,
+    Euler,
+    GroupPotential,
+    PotentialTop,
+    PseudoRigidBody,
+)
 
 EQUATIONS = {
     "2.18": ("momentum", "π_{n+1} = π_n"),
@@ -153,11 +153,11 @@ def conditions(step: Step, state: State, dt: Any) -> Conditions:
     step.check(state, dt)
     system = step.system
     end, _, L = value_and_jacobian(system.phase_space, lambda z: step(z, dt), state)
-    if isinstance(system, AbstractEmbeddedBody):
+    if isinstance(system, EmbeddedBody):
         found = _embedded(system, state, end)
-    elif isinstance(system, AbstractElasticBody):
+    elif isinstance(system, PseudoRigidBody):
         found = _elastic(step, state, end, L, dt)
-    elif isinstance(system, AbstractFreeBody | AbstractGeodesicFlow | AbstractTop | AbstractMechanicalSystem):
+    elif isinstance(system, AbstractFreeBody | Euler | PotentialTop | GroupPotential):
         found = _on_group(step, state, end, L, dt)
     else:
         raise ValueError(
@@ -188,7 +188,7 @@ def _embedded(system: PyTree, state: State, end: State) -> _Found:
 def _on_group(step: Step, state: State, end: State, L: Array, dt: Any) -> _Found:
     """The conditions of Sections 3 to 5."""
     system, group = step.system, step.system.phase_space.group
-    m = system.metric if isinstance(system, AbstractGeodesicFlow | AbstractMechanicalSystem) else system.inertia
+    m = system.metric if isinstance(system, Euler | GroupPotential) else system.inertia
     m = jnp.diag(m) if jnp.ndim(m) == 1 else m
     d, w = group.dim, jnp.asarray(step.velocity_weight, L.dtype)
     one, solve = jnp.eye(d, dtype=L.dtype), jnp.linalg.solve
@@ -268,7 +268,7 @@ def _on_group(step: Step, state: State, end: State, L: Array, dt: Any) -> _Found
     work = (dt * force @ (Ad0 @ Omega) + V1 - V0, (Pi1 - Pi0) @ Omega + V1 - V0)
     found["6.22"] = (jnp.abs(work[1]) / energy, terms)
     momentum = jnp.max(jnp.abs(system.momentum(end) - system.momentum(state)), initial=0) / of_p
-    if spatial and isinstance(system, AbstractTop):
+    if spatial and isinstance(system, PotentialTop):
         found["4.3"], found["4.5"] = (momentum, ones), (jnp.abs(work[0]) / energy, terms)
         theta = 2 * turn[1:] / turn[0]  # Θ of T = cay Θ
         gyroscopic = jnp.cross(theta, m @ Omega)

@@ -25,11 +25,11 @@ from numpy.typing import ArrayLike
 from lieint_jax import _checks
 from lieint_jax._checks import concrete
 from lieint_jax._xla import compiled
-from lieint_jax.capabilities import AbstractDrivenTop, AbstractRigidBodies
 from lieint_jax.core import State, System, promoted
 from lieint_jax.core.tangent import units, units_at_start
 from lieint_jax.diagnostics._critical_point import Correction, Problem, Spins, in_double, is_attitude, rounded
 from lieint_jax.groups import so3
+from lieint_jax.systems import AbstractDrivenTop, AbstractRigidBodies
 
 
 class Equilibrium(NamedTuple):

@@ -26,10 +26,10 @@ from jax.typing import ArrayLike
 from lieint_jax import _checks
 from lieint_jax._numerics import vectors
 from lieint_jax._xla import compiled
-from lieint_jax.capabilities import AbstractBodyInTime, AbstractDrivenSystem, AbstractGyrostat
 from lieint_jax.core import State, Step, checked_step, clock, energy_less_work, promoted
 from lieint_jax.groups import so3
 from lieint_jax.schemes import FreeFlight, GyrostatSplitting, SO3Midpoint, Splitting
+from lieint_jax.systems import AbstractBodyInTime, AbstractDrivenSystem
 
 _Scalar = Callable[[State], Array]
 _Field = Callable[[State], State]
@@ -108,7 +108,7 @@ class _Parts(NamedTuple):
 def _parts(step: Splitting | GyrostatSplitting) -> _Parts:
     """Kicks and drifts; for a gyrostat, rotations by the rotor and the motion of the free body."""
     if isinstance(step, GyrostatSplitting):
-        return _rotor_parts(step.system)
+        return _rotor_parts(step)
     system: Any = step.system
     driven = isinstance(system, AbstractDrivenSystem)
 
@@ -133,8 +133,9 @@ def _parts(step: Splitting | GyrostatSplitting) -> _Parts:
     return _Parts({"X": drift, "Y": kick}, lambda z: -rate(z))
 
 
-def _rotor_parts(system: AbstractGyrostat) -> _Parts:
+def _rotor_parts(step: GyrostatSplitting) -> _Parts:
     """X = −c·Π with c = J⁻¹h_r, Y the energy of the free body: {X, Y} = −c·(Π × Ω)."""
+    system = step.system
     J = vectors.symmetric(system.inertia)
     velocity = J.solve(system.rotor)
 

@@ -12,22 +12,22 @@ from jax.typing import ArrayLike
 from lieint_jax import _checks
 from lieint_jax._numerics.arrays import TimeSeries
 from lieint_jax._xla import compiled
-from lieint_jax.capabilities import (
-    AbstractDampedBody,
-    AbstractForcedSystem,
-    AbstractRightGeodesicFlow,
-    AbstractTorquedBody,
-)
 from lieint_jax.core import State, Step
 from lieint_jax.diagnostics._symplectic import linearization
 from lieint_jax.phase_spaces import CotangentGroup
+from lieint_jax.systems import (
+    AbstractForcedSystem,
+    DampedBody,
+    RightEuler,
+    TorquedBody,
+)
 
 _Method = Literal["recursion", "product"]
 _OTHERS = (
     AbstractForcedSystem,
-    AbstractRightGeodesicFlow,
-    AbstractTorquedBody,
-    AbstractDampedBody,
+    RightEuler,
+    TorquedBody,
+    DampedBody,
 )  # than left-invariant systems without potential
 
 

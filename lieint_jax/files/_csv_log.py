@@ -19,7 +19,6 @@ from jax import Array
 from lieint_jax import _checks, dates
 from lieint_jax._text import Text, read_text
 from lieint_jax.attitude import Frame
-from lieint_jax.capabilities import AbstractRotatingBody
 from lieint_jax.core import State, Step
 from lieint_jax.dates import Epoch
 from lieint_jax.files import _ccsds
@@ -27,6 +26,7 @@ from lieint_jax.files._signs import join_signs
 from lieint_jax.files._stated_units import check_stated_units
 from lieint_jax.groups import so3
 from lieint_jax.runs import Run
+from lieint_jax.systems import AbstractRotatingBody
 
 Column = str | int
 _UNITS = {  # how many of them a second has; radians per second

@@ -15,10 +15,10 @@ from jax.typing import ArrayLike
 
 from lieint_jax import _checks, dates, orbits
 from lieint_jax._text import read_text
-from lieint_jax.capabilities import AbstractManyBodies
 from lieint_jax.files import _ccsds
 from lieint_jax.files._orbit_table import OrbitTable, orbit_table
 from lieint_jax.runs import Run
+from lieint_jax.systems import AbstractManyBodies
 
 _FACTS = ("REF_FRAME", "CENTER_NAME", "OBJECT_NAME")
 Orbit = Callable[[ArrayLike], tuple[Array, Array]]

@@ -1,4 +1,4 @@
-"""Lie groups. Each has the functions of `types.Group`, in the same order.
+"""Lie groups. Each has the functions of `core.Group`, in the same order.
 
 `so3` is the rotation group as unit quaternions. All others are matrix groups, with coordinates in a basis of the
 algebra: `special_orthogonal(n)`, `special_unitary(n)`, `special_euclidean(n)`, `special_linear(n)`, `symplectic(n)`,

@@ -11,7 +11,6 @@ from numpy.typing import ArrayLike
 
 from lieint_jax import _checks
 from lieint_jax._numerics import vectors
-from lieint_jax.capabilities import AbstractFreeBody, AbstractManyBodies, AbstractRotatingBody
 from lieint_jax.core import State, Step
 from lieint_jax.measure._series import mean_rate
 from lieint_jax.measure._states import (
@@ -28,6 +27,7 @@ from lieint_jax.measure._states import (
 )
 from lieint_jax.phase_spaces import frame
 from lieint_jax.runs import Run
+from lieint_jax.systems import AbstractFreeBody, AbstractManyBodies, AbstractRotatingBody
 
 __all__ = ["MeasuredPeriods", "Pole", "periods", "pole", "rotation_rates", "tilt"]
 

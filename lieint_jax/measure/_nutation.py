@@ -16,14 +16,13 @@ from numpy.typing import ArrayLike
 from lieint_jax import _checks
 from lieint_jax._numerics import vectors
 from lieint_jax._numerics.arrays import Vector3
-from lieint_jax.capabilities import AbstractSphereSystem, AbstractTop
 from lieint_jax.core import State, Step, System
 from lieint_jax.measure._series import mean_rate, unwrapped
 from lieint_jax.measure._spectrum import even_spacing
 from lieint_jax.measure._states import rotate, series_of, times_of
 from lieint_jax.phase_spaces import frame
 from lieint_jax.runs import Run
-from lieint_jax.systems import LinearPotential
+from lieint_jax.systems import LinearPotential, Pendulum, PotentialTop
 
 __all__ = ["Nutation", "nutation"]
 
@@ -91,7 +90,7 @@ def _motion(axis: Array | None, step: Step, state: State) -> tuple[Array, Array]
     system, state = step.system, State(state.q, state.p)
     direction, gamma = _axis_of(system, axis), _field_axis(system)
     hangs = jnp.zeros((), bool)
-    if isinstance(system, AbstractSphereSystem):
+    if isinstance(system, Pendulum):
         hangs = system.potential(gamma) < system.potential(-gamma)
     up = jnp.where(hangs, -gamma, gamma)
 
@@ -106,9 +105,9 @@ def _motion(axis: Array | None, step: Step, state: State) -> tuple[Array, Array]
 
 def _axis_of(system: System, axis: Array | None) -> Callable[[State], Array]:
     """The measured axis in space as a function of the state."""
-    if isinstance(system, AbstractSphereSystem) and axis is None:
+    if isinstance(system, Pendulum) and axis is None:
         return lambda z: z.q
-    if not isinstance(system, AbstractTop):
+    if not isinstance(system, PotentialTop):
         raise ValueError(
             f"nutation is that of a top, as systems.heavy_top(…), or without an axis of a pendulum; got {system!r}"
         )
@@ -120,7 +119,7 @@ def _axis_of(system: System, axis: Array | None) -> Callable[[State], Array]:
     return partial(_rotated, system, axis)
 
 
-def _rotated(system: AbstractTop, axis: Array, state: State) -> Array:
+def _rotated(system: PotentialTop, axis: Array, state: State) -> Array:
     return rotate(system.rotation_matrix(state), axis)
 
 

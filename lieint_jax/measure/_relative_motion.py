@@ -18,7 +18,6 @@ from jax import Array
 
 from lieint_jax._numerics import vectors
 from lieint_jax._numerics.arrays import Vector3
-from lieint_jax.capabilities import AbstractManyBodies
 from lieint_jax.core import State, Step
 from lieint_jax.groups import so3
 from lieint_jax.measure._revolutions import mean_ellipse
@@ -28,6 +27,7 @@ from lieint_jax.measure._states import angular_momentum, count_bodies, longitude
 from lieint_jax.phase_spaces import frame
 from lieint_jax.potentials import PolyhedronGravity, SumPotential
 from lieint_jax.runs import Run
+from lieint_jax.systems import AbstractManyBodies
 
 __all__ = [
     "Apsides",

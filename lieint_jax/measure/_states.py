@@ -14,11 +14,11 @@ from numpy.typing import ArrayLike
 from lieint_jax import _checks
 from lieint_jax._numerics import vectors
 from lieint_jax._numerics.arrays import PyTree, Vector3
-from lieint_jax.capabilities import AbstractManyBodies, AbstractMetricSystem, AbstractRotatingBody, AbstractSphereSystem
 from lieint_jax.core import State, Step, System
 from lieint_jax.groups import so3, special_euclidean, special_orthogonal
 from lieint_jax.phase_spaces import frame
 from lieint_jax.runs import Run
+from lieint_jax.systems import AbstractManyBodies, AbstractMetricSystem, AbstractRotatingBody, Pendulum
 
 Directions = ArrayLike | Callable[[Array], Array]  # one, one for each time, or a function of time
 
@@ -79,7 +79,7 @@ def angular_momentum(step: Step, state: State) -> Vector3:
         return jnp.sum(jnp.cross(q[:, :3], p[:, :3]) + p[:, 3:], axis=0)
     if isinstance(system, AbstractRotatingBody):
         return p if p.shape == (3,) else rotate(system.rotation_matrix(state), system.body_momentum(state))
-    if isinstance(system, AbstractSphereSystem):
+    if isinstance(system, Pendulum):
         return p
     raise ValueError(f"the system must be of rigid bodies or a pendulum, which have angular momentum; got {system!r}")
 

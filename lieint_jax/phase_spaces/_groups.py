@@ -9,7 +9,14 @@ from jax import Array
 from lieint_jax._numerics.arrays import PhaseMatrix, PhaseVector, Scalar
 from lieint_jax._xla import materialized
 from lieint_jax.core import Group, State, pytree, static
-from lieint_jax.phase_spaces._displacements import ByPerturbation
+
+
+class ByPerturbation:
+    """A phase space in which a displacement is the δ of `perturb`."""
+
+    def displaced(self, start: State, displacement: Array) -> State:
+        """The end of a displacement."""
+        return self.perturb(start, displacement)  # pyright: ignore[reportAttributeAccessIssue]
 
 
 @pytree

@@ -9,8 +9,8 @@ from lieint_jax._numerics import vectors
 from lieint_jax._numerics.arrays import DualVector, Matrix3, PhaseMatrix, PhaseVector, Scalar
 from lieint_jax.core import State, pytree, static
 from lieint_jax.groups import MatrixGroup
-from lieint_jax.phase_spaces._displacements import ByEntries, ByPerturbation
-from lieint_jax.phase_spaces._groups import CotangentGroup
+from lieint_jax.phase_spaces._entries import ByEntries
+from lieint_jax.phase_spaces._groups import ByPerturbation, CotangentGroup
 
 
 @pytree

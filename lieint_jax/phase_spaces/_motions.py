@@ -9,7 +9,7 @@ from jax import Array
 from lieint_jax._numerics.arrays import PhaseMatrix, PhaseVector, Scalar
 from lieint_jax.core import State, pytree, static
 from lieint_jax.groups import so3
-from lieint_jax.phase_spaces._displacements import ByPerturbation
+from lieint_jax.phase_spaces._groups import ByPerturbation
 
 
 @pytree

@@ -9,7 +9,7 @@ from lieint_jax._numerics import vectors
 from lieint_jax._numerics.arrays import PhaseMatrix, PhaseVector, Scalar, Vector3
 from lieint_jax.core import State, pytree
 from lieint_jax.groups import so3
-from lieint_jax.phase_spaces._displacements import ByEntries
+from lieint_jax.phase_spaces._entries import ByEntries
 
 
 @pytree

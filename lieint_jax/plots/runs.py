@@ -13,13 +13,12 @@ from jax import Array
 from jax.tree_util import Partial
 from matplotlib.figure import Figure
 
-from lieint_jax.capabilities import AbstractBodyInTime, AbstractManyBodies, AbstractRotatingBody
 from lieint_jax.core import State, Step, Trajectory, counts_work, energy_less_work, labels
 from lieint_jax.groups import so3
 from lieint_jax.plots import _axes as plots
 from lieint_jax.plots import _panels
 from lieint_jax.runs import Run, interpolate
-from lieint_jax.systems import LinearPotential
+from lieint_jax.systems import AbstractBodyInTime, AbstractManyBodies, AbstractRotatingBody, LinearPotential
 
 POINTS = 4_000  # the largest number of points of a curve
 MAX_ROTATION = 2.6  # rad between saved states: interpolation then has an error of 0.3° (tumbling bodies)

@@ -10,14 +10,13 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from lieint_jax.capabilities import AbstractManyBodies, AbstractRotatingBody
 from lieint_jax.core import Trajectory
 from lieint_jax.groups import so3
 from lieint_jax.plots import solids as meshes
 from lieint_jax.plots.runs import MAX_ROTATION, interpolate_at, rotation_angles, spin_axis, top_axis, unit_of
 from lieint_jax.plots.solids import BodyShape, Solid
 from lieint_jax.runs import Run
-from lieint_jax.systems import DissipativeRod, ElasticRod
+from lieint_jax.systems import AbstractManyBodies, AbstractRotatingBody, DissipativeRod, ElasticRod
 
 _MAX_ROTATION = np.deg2rad(15)  # largest rotation of a body between frames, if states can be interpolated
 _MAX_TILT = np.deg2rad(2)  # the same for the axis of a top, whose spin may be much faster

@@ -1,4 +1,4 @@
-"""Schemes: each returns a `types.Step` for a system. "Conserved" means to round-off, in runs of any length.
+"""Schemes: each returns a `core.Step` for a system. "Conserved" means to round-off, in runs of any length.
 
 Of torqued bodies `torqued_midpoint` conserves the energy less work. `compose` raises the order of any symmetric step of
 order 2 to 4 … 10, and `gauss`, `nystrom`, `preprocessed`, `extrapolate`, `kepler_splitting` take an order or a number

@@ -40,10 +40,10 @@ from jax.typing import ArrayLike
 from lieint_jax._checks import concrete, count, fraction, named
 from lieint_jax._numerics import small_linalg as la
 from lieint_jax._numerics.vectors import Matrix, Symmetric, Vector, dot, matrix, max_abs, mean_cofactor, symmetric
-from lieint_jax.capabilities import AbstractElasticBody, AbstractIncompressibleBody, AbstractViscousBody
 from lieint_jax.core import Converted, State, Step, StepInfo, StoredEnergy, argument, pytree, static
 from lieint_jax.schemes._catalogue import SchemeProperties
 from lieint_jax.schemes._shared.equation import ImplicitEquation
+from lieint_jax.systems._equations import AbstractElasticBody, AbstractIncompressibleBody, AbstractViscousBody
 
 __all__ = ["additive"]
 

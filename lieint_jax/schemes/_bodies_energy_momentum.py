@@ -36,12 +36,12 @@ from jax.typing import ArrayLike
 from lieint_jax._checks import at_once, choice, concrete, count, named
 from lieint_jax._numerics.vectors import cross, matrix, symmetric, unit_trace, vector
 from lieint_jax._xla import compiled
-from lieint_jax.capabilities import AbstractDissipativeBodies, AbstractRigidBodies
 from lieint_jax.core import Converted, State, Step, StepInfo, argument, pytree, static
 from lieint_jax.groups import so3
 from lieint_jax.potentials import Potential, SumPotential, given_poses, invariant_form, is_chain, torques
 from lieint_jax.schemes._catalogue import SchemeProperties
 from lieint_jax.schemes._shared.equation import ChainEquation, FixedPointEquation
+from lieint_jax.systems._equations import AbstractDissipativeBodies, AbstractRigidBodies
 
 __all__ = ["bodies_energy_momentum"]
 

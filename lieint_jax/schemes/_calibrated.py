@@ -23,11 +23,11 @@ from lieint_jax import _free_body
 from lieint_jax._checks import count, named
 from lieint_jax._numerics.vectors import cross, dot, norm, symmetric
 from lieint_jax._xla import compiled
-from lieint_jax.capabilities import AbstractFreeBody
 from lieint_jax.core import Converted, State, Step, StepInfo, argument, pytree, static, with_fields
 from lieint_jax.groups import so3
 from lieint_jax.schemes._catalogue import SchemeProperties
 from lieint_jax.schemes._preprocessed import with_modified_inertia
+from lieint_jax.systems._equations import AbstractFreeBody
 
 __all__ = ["calibrated"]
 

@@ -12,8 +12,8 @@ import numpy as np
 
 from lieint_jax._checks import concrete
 from lieint_jax._discover import modules_with
-from lieint_jax.capabilities import Capability
 from lieint_jax.core import Catalogue, Step, System
+from lieint_jax.systems._equations import Equations
 
 __all__ = ["Catalogue", "SchemeProperties", "catalogue"]
 
@@ -32,7 +32,7 @@ class SchemeProperties(NamedTuple):
         limit: the largest step.
         aliases: its names in the literature.
         source: a paper, or equations of Lewis & Simo 1994.
-        accepts: the capabilities whose equations it integrates.
+        accepts: the equations of motion that it integrates; a system inherits some of them.
         order: the order of accuracy of the default, infinite for the exact flow.
         symmetric: whether by default a step of −Δt is the inverse of one of Δt.
         instead: the end of the message for a system that no scheme accepts.
@@ -44,7 +44,7 @@ class SchemeProperties(NamedTuple):
     limit: str
     aliases: tuple[str, ...]
     source: str
-    accepts: tuple[type[Capability], ...] = ()
+    accepts: tuple[type[Equations], ...] = ()
     order: float = 2
     symmetric: bool = True
     instead: str = ""
@@ -64,10 +64,10 @@ class SchemeProperties(NamedTuple):
         return examples
 
     def check(self, system: _System) -> _System:
-        """`system`; ValueError unless it has one of the accepted capabilities, and its equations of motion."""
-        own = next((capability for capability in self.accepts if isinstance(system, capability)), None)
+        """`system`; ValueError unless it inherits some of the accepted equations of motion, and overrides none."""
+        own = next((equations for equations in self.accepts if isinstance(system, equations)), None)
         if own is None:
-            nouns = ", ".join(capability.noun for capability in self.accepts)
+            nouns = ", ".join(equations.noun for equations in self.accepts)
             raise ValueError(
                 f"{self.name} integrates {nouns}, got {type(system).__name__}{hint(system) or self.instead}"
             )

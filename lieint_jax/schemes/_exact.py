@@ -10,11 +10,11 @@ from jax.typing import ArrayLike
 
 from lieint_jax import _free_body
 from lieint_jax._numerics.vectors import symmetric
-from lieint_jax.capabilities import AbstractFreeBodies, AbstractFreeBody
 from lieint_jax.core import State, Step, StepInfo, pytree, static
 from lieint_jax.schemes._catalogue import SchemeProperties
 from lieint_jax.schemes._shared.free_bodies import FreeFlight
 from lieint_jax.schemes._shared.half_rotation import SLENDER, attitude_error_limit
+from lieint_jax.systems._equations import AbstractFreeBodies, AbstractFreeBody
 
 __all__ = ["Exact", "FreeFlight", "exact"]
 

@@ -25,11 +25,11 @@ from jax.typing import ArrayLike
 from lieint_jax._checks import listed, named
 from lieint_jax._numerics.arrays import PyTree
 from lieint_jax._numerics.stages import scan_stages
-from lieint_jax.capabilities import AbstractFreeBody, AbstractRigidBodies, AbstractTop
 from lieint_jax.core import Converted, State, Step, StepInfo, System, laws_of, pytree, static
 from lieint_jax.schemes._catalogue import SchemeProperties
 from lieint_jax.schemes.charts._chart import PlainState, SeveralBodies
 from lieint_jax.schemes.charts.body_axes import BODY_AXES
+from lieint_jax.systems._equations import AbstractFreeBody, AbstractRigidBodies, AbstractTop
 
 __all__ = ["extrapolate"]
 

@@ -23,7 +23,11 @@ from jax.typing import ArrayLike
 
 from lieint_jax._checks import count, named
 from lieint_jax._numerics import collocation
-from lieint_jax.capabilities import (
+from lieint_jax.core import Converted, State, Step, StepInfo, System, argument, pytree, static
+from lieint_jax.schemes._catalogue import SchemeProperties
+from lieint_jax.schemes._shared.equation import FixedPointEquation
+from lieint_jax.schemes.charts.canonical import CanonicalChart, Coordinates, Increments, canonical_chart
+from lieint_jax.systems._equations import (
     AbstractDrivenTop,
     AbstractElasticBody,
     AbstractFreeBodies,
@@ -33,10 +37,6 @@ from lieint_jax.capabilities import (
     AbstractRigidBodies,
     AbstractTop,
 )
-from lieint_jax.core import Converted, State, Step, StepInfo, System, argument, pytree, static
-from lieint_jax.schemes._catalogue import SchemeProperties
-from lieint_jax.schemes._shared.equation import FixedPointEquation
-from lieint_jax.schemes.charts.canonical import CanonicalChart, Coordinates, Increments, canonical_chart
 
 __all__ = ["Gauss", "gauss"]
 

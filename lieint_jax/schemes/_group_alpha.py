@@ -21,11 +21,11 @@ from jax.typing import ArrayLike
 
 from lieint_jax._checks import concrete, count, fraction, named
 from lieint_jax._numerics import small_linalg as la
-from lieint_jax.capabilities import AbstractGeodesicFlow, AbstractMechanicalSystem
 from lieint_jax.core import Converted, State, Step, StepInfo, argument, pytree, static
 from lieint_jax.maps import Tau, as_tau, exponential
 from lieint_jax.schemes._catalogue import SchemeProperties
 from lieint_jax.schemes._shared.group_newton import Equation, any_map, as_vector
+from lieint_jax.systems._equations import AbstractGeodesicFlow, AbstractMechanicalSystem
 
 __all__ = ["group_alpha"]
 

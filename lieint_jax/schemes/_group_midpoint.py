@@ -26,11 +26,11 @@ from jax.typing import ArrayLike
 
 from lieint_jax._checks import count, named
 from lieint_jax._numerics import small_linalg as la
-from lieint_jax.capabilities import AbstractGeodesicFlow, AbstractRightGeodesicFlow
 from lieint_jax.core import Converted, State, Step, StepInfo, argument, pytree, static
 from lieint_jax.maps import Tau, as_tau, cayley, cayley_lands, exponential
 from lieint_jax.schemes._catalogue import SchemeProperties
 from lieint_jax.schemes._shared.group_newton import Equation, ad_star_matrix, any_map, as_vector
+from lieint_jax.systems._equations import AbstractGeodesicFlow, AbstractRightGeodesicFlow
 
 __all__ = ["group_midpoint"]
 

@@ -17,13 +17,13 @@ from jax.typing import ArrayLike
 
 from lieint_jax import _checks
 from lieint_jax._numerics.vectors import dot, vector
-from lieint_jax.capabilities import AbstractFreeBodies, AbstractRigidBodies
 from lieint_jax.core import State, Step, StepInfo, pytree, static
 from lieint_jax.schemes._catalogue import SchemeProperties
 from lieint_jax.schemes._exact import FreeFlight, exact
 from lieint_jax.schemes._nystrom import Stages, mirror
 from lieint_jax.schemes._shared.kepler_flow import kepler_flow
 from lieint_jax.schemes._shared.stages import compose_stages
+from lieint_jax.systems._equations import AbstractFreeBodies, AbstractRigidBodies
 
 __all__ = ["kepler_splitting"]
 

@@ -27,19 +27,19 @@ from jax.typing import ArrayLike
 from lieint_jax import _checks
 from lieint_jax._checks import concrete
 from lieint_jax._numerics import random_bits
-from lieint_jax.capabilities import (
-    AbstractForcedSystem,
-    AbstractFreeBodies,
-    AbstractFreeBody,
-    AbstractRigidBodies,
-    AbstractTop,
-)
 from lieint_jax.core import Converted, State, Step, StepInfo, System, argument, pytree, static
 from lieint_jax.schemes._catalogue import SchemeProperties
 from lieint_jax.schemes._exact import exact
 from lieint_jax.schemes._shared.stages import compose_stages
 from lieint_jax.schemes._shared.thermalized import thermalized
 from lieint_jax.schemes._splitting import Splitting, kick
+from lieint_jax.systems._equations import (
+    AbstractForcedSystem,
+    AbstractFreeBodies,
+    AbstractFreeBody,
+    AbstractRigidBodies,
+    AbstractTop,
+)
 
 __all__ = ["Langevin", "langevin"]
 

@@ -18,12 +18,12 @@ from jax import Array
 from jax.typing import ArrayLike
 
 from lieint_jax._checks import at_once, concrete, real_array
-from lieint_jax.capabilities import AbstractDrivenSystem, AbstractForcedSystem, AbstractFreeBody
 from lieint_jax.core import State, Step, StepInfo, promoted, pytree, static
 from lieint_jax.schemes._catalogue import SchemeProperties, hint
 from lieint_jax.schemes._exact import exact
 from lieint_jax.schemes._shared.half_rotation import attitude_error_limit
 from lieint_jax.schemes._shared.stages import compose_stages
+from lieint_jax.systems._equations import AbstractDrivenSystem, AbstractForcedSystem, AbstractFreeBody
 
 __all__ = ["LogHamiltonian", "log_hamiltonian"]
 

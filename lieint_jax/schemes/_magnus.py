@@ -23,10 +23,10 @@ from jax.typing import ArrayLike
 from lieint_jax._checks import listed, named
 from lieint_jax._numerics import collocation
 from lieint_jax._numerics.arrays import AlgebraVector, GroupElement
-from lieint_jax.capabilities import AbstractKinematics
 from lieint_jax.core import AnalyticGroup, Converted, State, Step, StepInfo, argument, clock, pytree, static
 from lieint_jax.groups import MatrixGroup, so3
 from lieint_jax.schemes._catalogue import SchemeProperties
+from lieint_jax.systems._equations import AbstractKinematics
 
 __all__ = ["Magnus", "magnus"]
 

@@ -18,13 +18,18 @@ from jax import Array
 from jax.typing import ArrayLike
 
 from lieint_jax._checks import listed, named, optional
-from lieint_jax.capabilities import AbstractDrivenSystem, AbstractForcedSystem, AbstractFreeBodies, AbstractFreeBody
 from lieint_jax.core import Converted, State, Step, StepInfo, argument, pytree, static
 from lieint_jax.schemes._catalogue import SchemeProperties, hint
 from lieint_jax.schemes._exact import exact
 from lieint_jax.schemes._preprocessed import preprocessed
 from lieint_jax.schemes._shared.stages import compose_stages
 from lieint_jax.schemes._splitting import kick
+from lieint_jax.systems._equations import (
+    AbstractDrivenSystem,
+    AbstractForcedSystem,
+    AbstractFreeBodies,
+    AbstractFreeBody,
+)
 
 __all__ = ["nystrom"]
 

@@ -22,12 +22,12 @@ from jax.typing import ArrayLike
 
 from lieint_jax import _checks
 from lieint_jax._numerics.vectors import dot, symmetric, unit_trace
-from lieint_jax.capabilities import AbstractFreeBodies, AbstractFreeBody
 from lieint_jax.core import State, Step, StepInfo, pytree, static
 from lieint_jax.schemes._catalogue import SchemeProperties
 from lieint_jax.schemes._shared.clock_coefficients import constants
 from lieint_jax.schemes._shared.free_bodies import FreeFlight
 from lieint_jax.schemes._so3_midpoint import SO3Midpoint, so3_midpoint
+from lieint_jax.systems._equations import AbstractFreeBodies, AbstractFreeBody
 
 __all__ = ["Preprocessed", "preprocessed"]
 

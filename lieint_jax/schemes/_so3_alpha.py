@@ -39,7 +39,6 @@ from lieint_jax._numerics.vectors import (
     symmetric,
     unit_trace,
 )
-from lieint_jax.capabilities import AbstractEmbeddedBody
 from lieint_jax.core import Converted, State, Step, StepInfo, argument, pytree, static
 from lieint_jax.maps import Kappa, as_kappa, kappa_cayley
 from lieint_jax.schemes._catalogue import SchemeProperties
@@ -50,6 +49,7 @@ from lieint_jax.schemes._shared.half_rotation import (
     gyroscopic,
     on_branch,
 )
+from lieint_jax.systems._equations import AbstractEmbeddedBody
 
 __all__ = ["so3_alpha"]
 

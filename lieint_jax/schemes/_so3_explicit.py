@@ -20,12 +20,12 @@ from jax import Array, lax
 from jax.typing import ArrayLike
 
 from lieint_jax._numerics.vectors import dot, max_abs
-from lieint_jax.capabilities import AbstractFreeBody
 from lieint_jax.core import State, Step, StepInfo, argument, pytree, static, with_fields
 from lieint_jax.groups import so3
 from lieint_jax.schemes._catalogue import SchemeProperties
 from lieint_jax.schemes._shared.half_rotation import half_cayley, scalar_residual, scalar_root, scaled
 from lieint_jax.schemes._so3_midpoint import so3_midpoint
+from lieint_jax.systems._equations import AbstractFreeBody
 
 __all__ = ["SO3Explicit", "so3_explicit"]
 

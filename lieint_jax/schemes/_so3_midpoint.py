@@ -32,7 +32,6 @@ from jax.typing import ArrayLike
 
 from lieint_jax._checks import count, named
 from lieint_jax._numerics.vectors import cross, dot, symmetric, vector
-from lieint_jax.capabilities import AbstractDrivenGyrostat, AbstractFreeBody, AbstractFreeBodyInTime, AbstractGyrostat
 from lieint_jax.core import Converted, State, Step, StepInfo, argument, clock, pytree, static, with_fields
 from lieint_jax.groups import so3
 from lieint_jax.maps import KAPPAS, Kappa, as_kappa, kappa_symplectic
@@ -46,6 +45,12 @@ from lieint_jax.schemes._shared.half_rotation import (
     scaled,
 )
 from lieint_jax.schemes._shared.inertia_in_time import advice_in_time, step_in_time
+from lieint_jax.systems._equations import (
+    AbstractDrivenGyrostat,
+    AbstractFreeBody,
+    AbstractFreeBodyInTime,
+    AbstractGyrostat,
+)
 
 __all__ = ["SO3Midpoint", "so3_midpoint"]
 

@@ -19,9 +19,9 @@ from lieint_jax import _checks
 from lieint_jax._numerics import newton
 from lieint_jax._numerics.gradients import autodiff_gradient
 from lieint_jax._numerics.vectors import cross, dot, matrix, max_abs, norm
-from lieint_jax.capabilities import AbstractSphereSystem
 from lieint_jax.core import State, Step, StepInfo, pytree, static
 from lieint_jax.schemes._catalogue import SchemeProperties
+from lieint_jax.systems._equations import AbstractSphereSystem
 
 __all__ = ["sphere_midpoint"]
 

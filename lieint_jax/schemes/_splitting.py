@@ -21,7 +21,14 @@ from jax import Array, lax
 from jax.typing import ArrayLike
 
 from lieint_jax._numerics.vectors import matrix, max_abs, symmetric
-from lieint_jax.capabilities import (
+from lieint_jax.core import Group, State, Step, StepInfo, clock, pytree, static
+from lieint_jax.groups import so3
+from lieint_jax.phase_spaces import CotangentGroup
+from lieint_jax.potentials import is_chain
+from lieint_jax.schemes._catalogue import SchemeProperties
+from lieint_jax.schemes._shared.default_drift import default_drift
+from lieint_jax.schemes._shared.half_rotation import attitude_error_limit
+from lieint_jax.systems._equations import (
     AbstractDrivenSystem,
     AbstractElasticBody,
     AbstractForcedSystem,
@@ -30,13 +37,6 @@ from lieint_jax.capabilities import (
     AbstractGyrostat,
     AbstractRigidBodies,
 )
-from lieint_jax.core import Group, State, Step, StepInfo, clock, pytree, static
-from lieint_jax.groups import so3
-from lieint_jax.phase_spaces import CotangentGroup
-from lieint_jax.potentials import is_chain
-from lieint_jax.schemes._catalogue import SchemeProperties
-from lieint_jax.schemes._shared.default_drift import default_drift
-from lieint_jax.schemes._shared.half_rotation import attitude_error_limit
 
 __all__ = ["GyrostatSplitting", "Splitting", "splitting"]
 

@@ -41,13 +41,13 @@ from lieint_jax._numerics.vectors import (
     unit_trace,
     vector,
 )
-from lieint_jax.capabilities import AbstractDrivenTop, AbstractTop, discrete_gradient
 from lieint_jax.core import Converted, PotentialWithGradient, State, Step, StepInfo, argument, clock, pytree, static
 from lieint_jax.groups import so3
 from lieint_jax.maps import KAPPAS, Kappa, as_kappa, kappa_cayley
 from lieint_jax.schemes._catalogue import SchemeProperties
 from lieint_jax.schemes._shared.equation import ImplicitEquation
 from lieint_jax.schemes._shared.half_rotation import gyration, gyration_matrix, on_branch
+from lieint_jax.systems._equations import AbstractDrivenTop, AbstractTop, discrete_gradient
 
 __all__ = ["top_energy_momentum"]
 

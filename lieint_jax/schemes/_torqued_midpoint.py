@@ -26,7 +26,6 @@ from jax import Array
 from jax.typing import ArrayLike
 
 from lieint_jax import _checks
-from lieint_jax.capabilities import AbstractDampedBody, AbstractTorquedBody, AbstractTorquedBodyInTime
 from lieint_jax.core import Function, State, Step, StepInfo, clock, labels, pytree, static
 from lieint_jax.groups import so3
 from lieint_jax.maps import KAPPAS, Kappa, as_kappa, kappa_cayley
@@ -34,6 +33,7 @@ from lieint_jax.schemes._catalogue import SchemeProperties
 from lieint_jax.schemes._shared.damped_midpoint import DampedMidpoint, advice
 from lieint_jax.schemes._shared.inertia_in_time import advice_in_time, step_in_time
 from lieint_jax.schemes._shared.torque_equation import TorqueEquation
+from lieint_jax.systems._equations import AbstractDampedBody, AbstractTorquedBody, AbstractTorquedBodyInTime
 
 __all__ = ["DampedMidpoint", "torqued_midpoint"]
 

@@ -8,6 +8,9 @@ Stored energies of a `pseudo_rigid_body` and an `incompressible_body` are `moone
 The section of a `rod` is a `circular_section`, a `rectangular_section`, or any other stiffness.
 Each module has `examples()`: systems with a state worth integrating and a time step.
 
+Your own system inherits equations of motion, by which schemes know it: it subclasses a system, or `Equations` that
+several systems share, the `Abstract…` classes. The decorator `equation` marks the methods that it must not override.
+
 `catalogue()` lists what each conserves, with its phase space, names in the literature and source. They model:
 """
 

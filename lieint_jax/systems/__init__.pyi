@@ -5,6 +5,7 @@ from lieint_jax.systems._damped_body import *
 from lieint_jax.systems._driven_gyrostat import *
 from lieint_jax.systems._driven_top import *
 from lieint_jax.systems._embedded_body import *
+from lieint_jax.systems._equations import *
 from lieint_jax.systems._euler import *
 from lieint_jax.systems._gravity_gradient import *
 from lieint_jax.systems._group_potential import *

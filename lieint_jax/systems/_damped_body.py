@@ -6,9 +6,9 @@ from jax import Array
 
 from lieint_jax import _checks
 from lieint_jax._checks import concrete, named
-from lieint_jax.capabilities import AbstractDampedBody
 from lieint_jax.core import Converted, State, argument, pytree
 from lieint_jax.systems._catalogue import SystemProperties
+from lieint_jax.systems._equations import AbstractDampedBody
 from lieint_jax.systems._shared.body import TimedBody, as_inertia
 
 __all__ = ["DampedBody", "damped_body"]

@@ -9,10 +9,11 @@ import jax.numpy as jnp
 from jax import Array
 from numpy.typing import ArrayLike
 
-from lieint_jax import _checks, capabilities
+from lieint_jax import _checks
 from lieint_jax._numerics.arrays import MomentumMap, Scalar, Time, Vector3
 from lieint_jax.core import Converted, State, argument, callable_pytree, clock, from_fields, pytree
 from lieint_jax.systems._catalogue import SystemProperties
+from lieint_jax.systems._equations import AbstractDrivenGyrostat
 from lieint_jax.systems._gyrostat import Gyrostat
 from lieint_jax.systems._shared.arguments import check_timed, explained, timed
 from lieint_jax.systems._shared.body import as_inertia
@@ -21,7 +22,7 @@ __all__ = ["DrivenGyrostat", "SpinUpMotor", "driven_gyrostat"]
 
 
 @pytree
-class DrivenGyrostat(capabilities.AbstractDrivenGyrostat):
+class DrivenGyrostat(AbstractDrivenGyrostat):
     """A rigid body with a rotor that a motor accelerates.
 
     H = ½(Π − h_r)·J⁻¹(Π − h_r) as in `gyrostat`, ḣ_r = τ(t), Ḣ = −Ω·τ: the motor's torque τ acts on the rotor, −τ on

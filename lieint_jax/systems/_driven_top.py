@@ -8,13 +8,14 @@ from typing import Any
 import jax.numpy as jnp
 from jax import Array
 
-from lieint_jax import _checks, capabilities
+from lieint_jax import _checks
 from lieint_jax._numerics import vectors
 from lieint_jax._numerics.arrays import Matrix3, MomentumMap, Scalar, Time, Vector3
 from lieint_jax._xla import unfused
 from lieint_jax.core import Converted, State, System, argument, callable_pytree, check_gradient, clock, pytree
 from lieint_jax.groups import so3
 from lieint_jax.systems._catalogue import SystemProperties
+from lieint_jax.systems._equations import AbstractDrivenTop
 from lieint_jax.systems._heavy_top import LinearPotential
 from lieint_jax.systems._potential_top import checked_axis
 from lieint_jax.systems._rigid_body import WithFreeBody
@@ -23,7 +24,7 @@ from lieint_jax.systems._shared.body import TimedBody, as_inertia
 __all__ = ["DrivenTop", "driven_top"]
 
 
-class MovedBody(WithFreeBody, TimedBody, capabilities.AbstractDrivenTop):
+class MovedBody(WithFreeBody, TimedBody, AbstractDrivenTop):
     """The methods of all driven tops, which differ in the origin of their potential and axis."""
 
     def axis_at(self, t: Time) -> Vector3:

@@ -4,18 +4,19 @@ from __future__ import annotations
 
 from jax import Array
 
-from lieint_jax import _checks, capabilities
+from lieint_jax import _checks
 from lieint_jax._numerics import vectors
 from lieint_jax.core import Converted, State, argument, pytree
 from lieint_jax.groups import so3
 from lieint_jax.systems._catalogue import SystemProperties
+from lieint_jax.systems._equations import AbstractEmbeddedBody
 from lieint_jax.systems._shared.body import Body, as_inertia
 
 __all__ = ["EmbeddedBody", "embedded_body"]
 
 
 @pytree
-class EmbeddedBody(Body, capabilities.AbstractEmbeddedBody):
+class EmbeddedBody(Body, AbstractEmbeddedBody):
     """A free rigid body whose attitude is a matrix Λ, which a scheme may move out of SO(3).
 
     H = ½ Π·J⁻¹Π with Π = Λ⁻¹π; Λ̇ = ΛΩ̂, π̇ = 0, Λ any matrix of L(3) with det Λ > 0. From a rotation the flow is that of

@@ -13,9 +13,9 @@ from lieint_jax import _checks
 from lieint_jax._checks import at_once, concrete
 from lieint_jax._numerics import vectors
 from lieint_jax._numerics.arrays import DualVector, MomentumMap, Scalar, Vector6
-from lieint_jax.capabilities import AbstractGeodesicFlow, AbstractRightGeodesicFlow
 from lieint_jax.core import Group, State, pytree, static
 from lieint_jax.systems._catalogue import SystemProperties
+from lieint_jax.systems._equations import AbstractGeodesicFlow, AbstractRightGeodesicFlow
 from lieint_jax.systems._shared.on_group import OnGroup
 
 __all__ = ["Euler", "RightEuler", "euler", "kirchhoff", "kirchhoff_spin", "manakov", "manakov_integrals"]

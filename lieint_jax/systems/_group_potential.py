@@ -12,9 +12,9 @@ from numpy.typing import ArrayLike
 
 from lieint_jax import _checks
 from lieint_jax._numerics.arrays import DualVector, MomentumMap, Scalar, SquareMatrix, Time
-from lieint_jax.capabilities import AbstractDrivenSystem, AbstractMechanicalSystem, spatial_force
 from lieint_jax.core import Group, State, System, callable_pytree, clock, pytree, static
 from lieint_jax.systems._catalogue import SystemProperties
+from lieint_jax.systems._equations import AbstractDrivenSystem, AbstractMechanicalSystem, spatial_force
 from lieint_jax.systems._euler import Euler, kirchhoff
 from lieint_jax.systems._shared.arguments import check_timed, explained, timed
 from lieint_jax.systems._shared.on_group import OnGroup

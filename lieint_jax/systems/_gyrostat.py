@@ -5,13 +5,14 @@ from __future__ import annotations
 import jax.numpy as jnp
 from jax import Array
 
-from lieint_jax import _checks, capabilities
+from lieint_jax import _checks
 from lieint_jax._checks import named
 from lieint_jax._numerics import vectors
 from lieint_jax._numerics.arrays import Scalar, Vector3
 from lieint_jax.core import Converted, State, argument, pytree
 from lieint_jax.groups import so3
 from lieint_jax.systems._catalogue import SystemProperties
+from lieint_jax.systems._equations import AbstractGyrostat
 from lieint_jax.systems._rigid_body import WithFreeBody
 from lieint_jax.systems._shared.body import Rotating, as_inertia
 
@@ -19,7 +20,7 @@ __all__ = ["Gyrostat", "gyrostat"]
 
 
 @pytree
-class Gyrostat(WithFreeBody, Rotating, capabilities.AbstractGyrostat):
+class Gyrostat(WithFreeBody, Rotating, AbstractGyrostat):
     """A rigid body with a symmetric rotor, or several, whose momentum in the body is constant.
 
     H = ½(Π − h_r)·J⁻¹(Π − h_r) with Π = Λᵀπ = JΩ + h_r; Λ̇ = ΛΩ̂, π̇ = 0.

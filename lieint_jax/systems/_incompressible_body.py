@@ -7,11 +7,12 @@ import numpy as np
 from jax import Array
 from numpy.typing import ArrayLike
 
-from lieint_jax import _checks, capabilities
+from lieint_jax import _checks
 from lieint_jax._checks import concrete
 from lieint_jax._numerics.arrays import Matrix3, Scalar, Vector3
 from lieint_jax.core import Converted, State, StoredEnergy, argument, pytree
 from lieint_jax.systems._catalogue import SystemProperties
+from lieint_jax.systems._equations import AbstractIncompressibleBody
 from lieint_jax.systems._pseudo_rigid_body import DeformingBody, PseudoRigidBody, second_moments
 from lieint_jax.systems._shared.arguments import explained
 from lieint_jax.systems._shared.stored_energy import as_stored_energy, mooney_rivlin
@@ -20,7 +21,7 @@ __all__ = ["IncompressibleBody", "incompressible_body"]
 
 
 @pytree
-class IncompressibleBody(DeformingBody, capabilities.AbstractIncompressibleBody):
+class IncompressibleBody(DeformingBody, AbstractIncompressibleBody):
     """An elastic body that deforms homogeneously at constant volume, about its center of mass: F in SL(3).
 
     H = ½⟨P, PE⁻¹⟩ + W(FᵀF), det F = 1; Ḟ = PE⁻¹, Ṗ = −2F∇W + pF⁻ᵀ. The pressure p enforces det F = 1:

@@ -16,10 +16,10 @@ from numpy.typing import ArrayLike
 from lieint_jax import _checks
 from lieint_jax._numerics.arrays import MomentumMap, Scalar, Time, Vector3
 from lieint_jax._xla import shapes_now
-from lieint_jax.capabilities import AbstractBodyInTime, AbstractFreeBodyInTime, AbstractTorquedBodyInTime
 from lieint_jax.core import Law, State, callable_pytree, clock, from_fields, pytree
 from lieint_jax.groups import so3
 from lieint_jax.systems._catalogue import SystemProperties
+from lieint_jax.systems._equations import AbstractBodyInTime, AbstractFreeBodyInTime, AbstractTorquedBodyInTime
 from lieint_jax.systems._rigid_body import RigidBody
 from lieint_jax.systems._shared.body import TimedBody
 from lieint_jax.systems._torqued_body import TorquedBody, torqued_body

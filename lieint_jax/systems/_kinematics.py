@@ -14,10 +14,10 @@ from numpy.typing import ArrayLike
 from lieint_jax import _checks
 from lieint_jax._numerics.arrays import AlgebraVector, Time
 from lieint_jax._numerics.lookup import increasing_times, interval
-from lieint_jax.capabilities import AbstractKinematics
 from lieint_jax.core import Converted, Group, State, argument, callable_pytree, pytree, static
 from lieint_jax.groups import so3
 from lieint_jax.systems._catalogue import SystemProperties
+from lieint_jax.systems._equations import AbstractKinematics
 from lieint_jax.systems._shared.arguments import check_timed, explained, timed
 from lieint_jax.systems._shared.on_group import check_element, group_element
 

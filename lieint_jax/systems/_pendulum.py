@@ -13,9 +13,9 @@ from lieint_jax import _checks
 from lieint_jax._checks import concrete
 from lieint_jax._numerics import vectors
 from lieint_jax._numerics.arrays import MomentumMap, Scalar, Vector3
-from lieint_jax.capabilities import AbstractSphereSystem
 from lieint_jax.core import State, callable_pytree, pytree
 from lieint_jax.systems._catalogue import SystemProperties
+from lieint_jax.systems._equations import AbstractSphereSystem
 from lieint_jax.systems._shared.arguments import explained
 
 __all__ = ["Pendulum", "pendulum"]

@@ -14,10 +14,10 @@ from lieint_jax import _checks
 from lieint_jax._checks import concrete
 from lieint_jax._numerics import vectors
 from lieint_jax._numerics.arrays import Matrix3, MomentumMap, Scalar, Time, Vector3
-from lieint_jax.capabilities import AbstractTop
 from lieint_jax.core import Converted, PotentialWithGradient, State, argument, callable_pytree, check_gradient, pytree
 from lieint_jax.groups import so3
 from lieint_jax.systems._catalogue import SystemProperties
+from lieint_jax.systems._equations import AbstractTop
 from lieint_jax.systems._rigid_body import WithFreeBody
 from lieint_jax.systems._shared.body import Body, as_inertia
 

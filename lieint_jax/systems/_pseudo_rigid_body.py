@@ -14,10 +14,10 @@ from lieint_jax import _checks
 from lieint_jax._checks import concrete
 from lieint_jax._numerics import vectors
 from lieint_jax._numerics.arrays import Matrix3, MomentumMap, Scalar, Vector3
-from lieint_jax.capabilities import AbstractDeformingBody, AbstractElasticBody, AbstractViscousBody
 from lieint_jax.core import State, StoredEnergy, pytree
 from lieint_jax.groups import so3
 from lieint_jax.systems._catalogue import SystemProperties
+from lieint_jax.systems._equations import AbstractDeformingBody, AbstractElasticBody, AbstractViscousBody
 from lieint_jax.systems._shared.arguments import check_counts, explained, timed
 from lieint_jax.systems._shared.stored_energy import (
     MooneyRivlin,

@@ -18,16 +18,16 @@ from lieint_jax._checks import at_once, concrete, outermost
 from lieint_jax._numerics import vectors
 from lieint_jax._numerics.arrays import Masses, MomentumMap, Poses, Positions, PyTree, Scalar
 from lieint_jax._xla import compiled
-from lieint_jax.capabilities import (
+from lieint_jax.core import ChainLaw, PairLaw, State, callable_pytree, clock, from_fields, pair_forces, pytree
+from lieint_jax.groups import so3
+from lieint_jax.systems._catalogue import SystemProperties
+from lieint_jax.systems._equations import (
     AbstractDissipativeBodies,
     AbstractFreeBodies,
     AbstractManyBodies,
     AbstractRigidBodies,
     rotations,
 )
-from lieint_jax.core import ChainLaw, PairLaw, State, callable_pytree, clock, from_fields, pair_forces, pytree
-from lieint_jax.groups import so3
-from lieint_jax.systems._catalogue import SystemProperties
 from lieint_jax.systems._rigid_body import RigidBody
 from lieint_jax.systems._shared.arguments import check_counts, explained, timed
 

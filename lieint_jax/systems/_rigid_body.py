@@ -10,10 +10,10 @@ from lieint_jax import _free_body
 from lieint_jax._checks import all_plain
 from lieint_jax._numerics import vectors
 from lieint_jax._xla import compiled
-from lieint_jax.capabilities import AbstractFreeBody
 from lieint_jax.core import Converted, State, argument, from_fields, pytree
 from lieint_jax.groups import so3
 from lieint_jax.systems._catalogue import SystemProperties
+from lieint_jax.systems._equations import AbstractFreeBody
 from lieint_jax.systems._shared.body import Body, as_inertia
 
 __all__ = ["RigidBody", "rigid_body", "tumbling_state"]

@@ -16,10 +16,10 @@ from lieint_jax import _checks, torques
 from lieint_jax._checks import concrete
 from lieint_jax._numerics.arrays import MomentumMap, Scalar, Time, Vector3
 from lieint_jax._xla import compiled
-from lieint_jax.capabilities import AbstractTorquedBody
 from lieint_jax.core import Law, Rotation, State, System, as_law, clock, labels, pytree
 from lieint_jax.groups import so3
 from lieint_jax.systems._catalogue import SystemProperties
+from lieint_jax.systems._equations import AbstractTorquedBody
 from lieint_jax.systems._shared.body import TimedBody
 
 __all__ = ["TorquedBody", "torqued_body"]

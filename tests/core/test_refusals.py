@@ -1,6 +1,6 @@
 """Calls with bad arguments, room by room, and the sentence of their errors: what was given, allowed, to be done.
 
-`tests/schemes/test_capabilities.py` has every scheme with every system that it does not accept. Errors of commands
+`tests/schemes/test_accepted_systems.py` has every scheme with every system that it does not accept. Errors of commands
 and files, and those of a run, are in the tests of these.
 """
 

@@ -110,7 +110,7 @@ def test_the_exact_flow_is_of_the_class_and_violates_the_sufficient_condition():
 class KickAndDrift(li.Step):
     """A kick, and a drift along the velocity after it: π_{n+1} − π_n depends on q_n alone, through a potential."""
 
-    system: li.capabilities.AbstractTop
+    system: li.systems.PotentialTop
 
     order, symmetric, name = 1, False, "kick and drift"
 

@@ -21,15 +21,15 @@ from sphere_chart import sphere_chart
 
 import lieint_jax as li
 from lieint_jax import State, maps, schemes, systems
-from lieint_jax.capabilities import (
-    AbstractDissipativeBodies,
-    AbstractDrivenGyrostat,
-    AbstractGyrostat,
-    AbstractIncompressibleBody,
-    AbstractRigidBodies,
-    AbstractViscousBody,
-)
 from lieint_jax.core import energy_less_work
+from lieint_jax.systems import (
+    AbstractDissipativeBodies,
+    AbstractRigidBodies,
+    DrivenGyrostat,
+    Gyrostat,
+    IncompressibleBody,
+    ViscousBody,
+)
 
 CASES = 10_000
 SE3 = li.groups.special_euclidean(3)
@@ -500,7 +500,7 @@ def outcome(make, numbers, parts, dt):
     rough = jnp.maximum(1, braking / 100)
     levers = [rough * largest(x.q) * largest((x.p, x.extra if system.initial_extra else None)) for x in (state, after)]
     bulk = jnp.maximum(1, largest(p))
-    if isinstance(system, AbstractIncompressibleBody):
+    if isinstance(system, IncompressibleBody):
         bulk = largest(after.q) ** 3  # the terms of det F
         # the rounding of det F is taken back in the next step, which may need a velocity of its size over Δt
         scale += eps * jnp.max(system.inertia) * (bulk / dt) ** 2
@@ -545,7 +545,7 @@ def friction_number(system, state, dt):
     At 1 a step may stop a deforming body, and the step back is singular. A large one enlarges the rounding of Ċ, whose
     terms cancel in a rotation.
     """
-    if not isinstance(system, AbstractViscousBody):
+    if not isinstance(system, ViscousBody):
         return 0.0
     return system.viscosity * jnp.abs(dt) * jnp.sum(state.q**2) / jnp.min(system.inertia)
 
@@ -571,7 +571,7 @@ def heat(state):
 def terms(system, state):
     """The size of the terms that the energy less work is the sum of, where they may be larger than the sum."""
     size = jnp.abs(heat(state)) + (0 if state.work is None else jnp.abs(state.work))
-    if isinstance(system, (AbstractGyrostat, AbstractDrivenGyrostat)):  # Ω is that of a small difference of momenta
+    if isinstance(system, (Gyrostat, DrivenGyrostat)):  # Ω is that of a small difference of momenta
         return size + largest(system.angular_velocity(state)) * largest(state.p)
     if hasattr(system, "torque"):
         size += getattr(system.torque, "gain", 0)  # U is a small difference of numbers of the size of the gain

@@ -13,8 +13,8 @@ from scipy.optimize import fsolve
 
 import lieint_jax as li
 from lieint_jax import _discover, diagnostics, potentials, schemes, systems
-from lieint_jax.capabilities import AbstractRigidBodies
 from lieint_jax.groups import so3
+from lieint_jax.systems import AbstractRigidBodies
 
 pytestmark = pytest.mark.long
 

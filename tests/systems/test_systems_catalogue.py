@@ -5,17 +5,17 @@ import jax.numpy as jnp
 import pytest
 
 import lieint_jax as li
-from lieint_jax import _discover, capabilities
+from lieint_jax import _discover
 from lieint_jax.core import energy_less_work, time_derivative
 
 ENTRIES = {entry.name: entry for entry in li.systems.catalogue()}
 EXAMPLES = {name: module.examples() for name, module in _discover.modules_with("examples", li.systems).items()}
 FORCED = (
-    capabilities.AbstractTorquedBody,
-    capabilities.AbstractTorquedBodyInTime,
-    capabilities.AbstractDampedBody,
-    capabilities.AbstractDissipativeBodies,
-    capabilities.AbstractViscousBody,
+    li.systems.TorquedBody,
+    li.systems.TorquedInertiaInTime,
+    li.systems.DampedBody,
+    li.systems.AbstractDissipativeBodies,
+    li.systems.ViscousBody,
 )
 GIVEN = {
     name for name, found in EXAMPLES.items() if not all(x[0].hamiltonian for x in found.values())

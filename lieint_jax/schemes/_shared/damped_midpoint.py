@@ -15,12 +15,12 @@ from jax.typing import ArrayLike
 
 from lieint_jax._numerics import newton
 from lieint_jax._numerics.vectors import Vector, cross, dot, max_abs, norm, unit_trace, vector
-from lieint_jax.capabilities import AbstractDampedBody
 from lieint_jax.core import State, Step, StepInfo, pytree, static
 from lieint_jax.groups import so3
 from lieint_jax.maps import Kappa
 from lieint_jax.schemes._shared.half_rotation import on_branch
 from lieint_jax.schemes._shared.torque_equation import jacobian
+from lieint_jax.systems._equations import AbstractDampedBody
 from lieint_jax.torques import internal_friction
 
 

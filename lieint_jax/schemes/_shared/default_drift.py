@@ -19,13 +19,18 @@ from jax.typing import ArrayLike
 from lieint_jax._checks import at_once, concrete
 from lieint_jax._numerics.small_linalg import sharp
 from lieint_jax._numerics.vectors import cross, matrix, unit_trace, vector
-from lieint_jax.capabilities import AbstractDrivenSystem, AbstractForcedSystem, AbstractGeodesicFlow, AbstractGyrostat
 from lieint_jax.core import State, Step, StepInfo, pytree, static
 from lieint_jax.groups import so3
 from lieint_jax.groups.catalogue import special_euclidean
 from lieint_jax.maps import arcsine, is_symplectic, kappa_symplectic
 from lieint_jax.schemes._group_midpoint import group_midpoint
 from lieint_jax.schemes._shared.half_rotation import ITERATIONS, half_rotation
+from lieint_jax.systems._equations import (
+    AbstractDrivenSystem,
+    AbstractForcedSystem,
+    AbstractGeodesicFlow,
+    AbstractGyrostat,
+)
 
 _ROUNDING = 1024  # largest error of Π that is rounding, in units of eps
 

@@ -12,8 +12,8 @@ from jax import Array
 from jax.typing import ArrayLike
 
 from lieint_jax._numerics.arrays import Inertia
-from lieint_jax.capabilities import AbstractFreeBodies, AbstractFreeBody
 from lieint_jax.core import State, Step, StepInfo, pytree
+from lieint_jax.systems._equations import AbstractFreeBodies, AbstractFreeBody
 
 
 @pytree

@@ -20,9 +20,9 @@ from lieint_jax._numerics import newton
 from lieint_jax._numerics import small_linalg as la
 from lieint_jax._numerics.arrays import AlgebraVector
 from lieint_jax._numerics.vectors import Matrix, components
-from lieint_jax.capabilities import AbstractMechanicalSystem, AbstractMetricSystem, AbstractRightGeodesicFlow
 from lieint_jax.core import AnalyticGroup, Group, State, StepInfo
 from lieint_jax.maps import Map, Tau, derivative
+from lieint_jax.systems._equations import AbstractMechanicalSystem, AbstractMetricSystem, AbstractRightGeodesicFlow
 
 
 def any_map(tau: Tau | Map) -> Tau:

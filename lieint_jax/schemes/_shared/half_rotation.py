@@ -36,10 +36,10 @@ from lieint_jax._numerics.vectors import (
     unit_trace,
     vector,
 )
-from lieint_jax.capabilities import AbstractFreeBody, AbstractGyrostat
 from lieint_jax.core import State, StepInfo
 from lieint_jax.groups import so3
 from lieint_jax.maps import Kappa
+from lieint_jax.systems._equations import AbstractFreeBody, AbstractGyrostat
 
 ITERATIONS = {"scalar": 3, "vector": 4}  # Newton corrections per step, by the form of the equation
 SLENDER = (

@@ -16,9 +16,9 @@ from jax import Array
 from jax.typing import ArrayLike
 
 from lieint_jax._numerics.vectors import Symmetric, dot, symmetric
-from lieint_jax.capabilities import AbstractBodyInTime
 from lieint_jax.core import State, StepInfo, clock
 from lieint_jax.groups import so3
+from lieint_jax.systems._equations import AbstractBodyInTime
 
 
 def step_in_time(

@@ -31,12 +31,12 @@ from lieint_jax._numerics.vectors import (
     unit_trace,
     vector,
 )
-from lieint_jax.capabilities import AbstractTorquedBody
 from lieint_jax.core import Law, Rotation, State, StepInfo, clock
 from lieint_jax.groups import so3
 from lieint_jax.maps import Kappa
 from lieint_jax.schemes._shared.equation import ImplicitEquation
 from lieint_jax.schemes._shared.half_rotation import gyration, gyration_matrix, on_branch
+from lieint_jax.systems._equations import AbstractTorquedBody
 
 _SHORT = 0.25  # the cheap first correction (J for the Jacobian) is used if shorter than this part of |½ΔtΩ_n|
 _Each = list[tuple[Array, Any, Any]]

@@ -11,9 +11,9 @@ import jax.numpy as jnp
 from jax import Array
 
 from lieint_jax._numerics.arrays import PyTree
-from lieint_jax.capabilities import AbstractRigidBodies
 from lieint_jax.core import State, System, time_derivative
 from lieint_jax.groups import so3
+from lieint_jax.systems._equations import AbstractRigidBodies
 
 _System = TypeVar("_System", bound=System)
 _Unknowns = TypeVar("_Unknowns")

@@ -16,10 +16,10 @@ from jax import Array
 from lieint_jax._numerics import vectors
 from lieint_jax._numerics.arrays import PyTree
 from lieint_jax._numerics.vectors import Symmetric, Vector, VectorLike, cross, dot, vector
-from lieint_jax.capabilities import AbstractDrivenTop, AbstractFreeBody, AbstractGyrostat, AbstractTop
 from lieint_jax.core import State, System, clock, gradient
 from lieint_jax.groups import so3
 from lieint_jax.schemes.charts._chart import Chart
+from lieint_jax.systems._equations import AbstractDrivenTop, AbstractFreeBody, AbstractGyrostat, AbstractTop
 
 OneBody = AbstractFreeBody | AbstractGyrostat | AbstractTop | AbstractDrivenTop
 

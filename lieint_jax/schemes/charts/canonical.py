@@ -28,7 +28,12 @@ from jax import Array
 
 from lieint_jax._numerics import vectors
 from lieint_jax._numerics.vectors import Matrix, Symmetric, Vector, cross, dot, vector
-from lieint_jax.capabilities import (
+from lieint_jax.core import State, System, gradient
+from lieint_jax.groups import so3
+from lieint_jax.phase_spaces import CotangentGroup, CotangentMatrices, CotangentMotions
+from lieint_jax.schemes.charts._chart import Chart
+from lieint_jax.schemes.charts.body_axes import axis_in_body, quat_times_vec, scalar_and_vector
+from lieint_jax.systems._equations import (
     AbstractDrivenSystem,
     AbstractDrivenTop,
     AbstractForcedSystem,
@@ -36,11 +41,6 @@ from lieint_jax.capabilities import (
     AbstractMechanicalSystem,
     AbstractTop,
 )
-from lieint_jax.core import State, System, gradient
-from lieint_jax.groups import so3
-from lieint_jax.phase_spaces import CotangentGroup, CotangentMatrices, CotangentMotions
-from lieint_jax.schemes.charts._chart import Chart
-from lieint_jax.schemes.charts.body_axes import axis_in_body, quat_times_vec, scalar_and_vector
 
 Components = tuple[Array, ...]
 

@@ -16,9 +16,9 @@ from lieint_jax._free_body import Periods
 from lieint_jax._numerics import vectors
 from lieint_jax._numerics.arrays import MomentumMap, Quaternion, Scalar, Vector3
 from lieint_jax._xla import compiled
-from lieint_jax.capabilities import AbstractRotatingBody
 from lieint_jax.core import State
 from lieint_jax.groups import so3
+from lieint_jax.systems._equations import AbstractRotatingBody
 from lieint_jax.systems._shared.arguments import check_timed, explained, timed
 
 as_inertia = partial(_checks.inertia, stacklevel=4)  # a field's converter: it warns where the class is called

@@ -17,9 +17,9 @@ from lieint_jax._numerics import vectors
 from lieint_jax._numerics.arrays import MomentumMap, Scalar
 from lieint_jax._numerics.small_linalg import flat
 from lieint_jax._xla import compiled
-from lieint_jax.capabilities import AbstractMetricSystem
 from lieint_jax.core import Group, State
 from lieint_jax.groups import so3
+from lieint_jax.systems._equations import AbstractMetricSystem
 from lieint_jax.systems._shared.arguments import explained
 
 

@@ -1,6 +1,6 @@
 """Stored energies W(C) of homogeneous elastic bodies, C = FᵀF, and their stresses S = 2∇W(C).
 
-Each has two stresses, as symmetric tensors by their six entries (see `types.vectors`):
+Each has two stresses, as symmetric tensors by their six entries (see `_numerics.vectors`):
 
     stress(C)          S(C) = 2∇W(C), the second Piola–Kirchhoff stress
     mean_stress(C, D)  a symmetric S̄ with ½ S̄:D = W(C + D) − W(C), S̄(C, 0) = S(C), free of cancellation for small D

@@ -1,4 +1,4 @@
-"""What a system declares by inheriting a capability: that it moves by the equations which the capability codes."""
+"""Equations of motion that systems inherit: what a scheme looks for in a system."""
 
 from __future__ import annotations
 
@@ -12,16 +12,16 @@ _Function = TypeVar("_Function", bound=Callable[..., object])
 
 
 def equation(function: _Function) -> _Function:
-    """Mark a method as one of the equations of motion of a capability (a decorator).
+    """Mark a method as one of the equations of motion (a decorator).
 
-    Schemes refuse a system that inherits the capability and overrides the method: its motion is another one.
+    Schemes refuse a system that inherits the equations and overrides the method: its motion is another one.
     """
     function.is_equation = True  # pyright: ignore[reportFunctionMemberAccess]
     return function
 
 
-class Capability(System):
-    """An abstract system with its equations of motion.
+class Equations(System):
+    """An abstract system with its equations of motion, which systems inherit and schemes integrate.
 
     Attributes:
         noun: what such systems are, in messages.
@@ -36,7 +36,7 @@ class Capability(System):
 
     @classmethod
     def overridden(cls, system: System) -> str | None:
-        """The name of an equation of this capability that a system which inherits it has overridden, or None."""
+        """The name of one of these equations that a system which inherits them has overridden, or None."""
         for name in dir(cls):
             method = inspect.getattr_static(cls, name)
             if getattr(method, "is_equation", False) and inspect.getattr_static(type(system), name) is not method:

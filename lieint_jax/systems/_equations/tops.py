@@ -14,11 +14,11 @@ from lieint_jax._numerics.arrays import Quaternion, Scalar, Time, Vector3
 from lieint_jax._numerics.gradients import autodiff_gradient
 from lieint_jax._numerics.gradients import discrete_gradient as by_quadrature
 from lieint_jax._numerics.vectors import cross
-from lieint_jax.capabilities._capability import equation
-from lieint_jax.capabilities._forces import AbstractDrivenSystem, AbstractForcedSystem
-from lieint_jax.capabilities._one_body import AbstractRotatingBody
 from lieint_jax.core import gradient
 from lieint_jax.groups import so3
+from lieint_jax.systems._equations.equation import equation
+from lieint_jax.systems._equations.forces import AbstractDrivenSystem, AbstractForcedSystem
+from lieint_jax.systems._equations.one_body import AbstractRotatingBody
 
 
 class AbstractTop(AbstractForcedSystem, AbstractRotatingBody):

@@ -11,13 +11,13 @@ from jax import Array
 from lieint_jax._numerics.arrays import AlgebraVector, DualVector, SquareMatrix
 from lieint_jax._numerics.gradients import autodiff_gradient
 from lieint_jax._numerics.small_linalg import sharp
-from lieint_jax.capabilities._capability import Capability, equation
-from lieint_jax.capabilities._forces import AbstractForcedSystem
 from lieint_jax.core import Group, State
 from lieint_jax.phase_spaces import CotangentGroup
+from lieint_jax.systems._equations.equation import Equations, equation
+from lieint_jax.systems._equations.forces import AbstractForcedSystem
 
 
-class AbstractMetricSystem(Capability):
+class AbstractMetricSystem(Equations):
     """A motion on T*G with the kinetic energy of a left-invariant metric: q̇ = qΩ̂ with mΩ = Π = Ad*_q π.
 
     Attributes:

@@ -9,14 +9,14 @@ from jax import Array
 
 from lieint_jax._numerics.arrays import Scalar, Vector3
 from lieint_jax._numerics.gradients import autodiff_gradient
-from lieint_jax.capabilities._capability import Capability, equation
 from lieint_jax.core import State
 from lieint_jax.phase_spaces import CotangentSphere
+from lieint_jax.systems._equations.equation import Equations, equation
 
 _PHASE_SPACE = CotangentSphere()
 
 
-class AbstractSphereSystem(Capability):
+class AbstractSphereSystem(Equations):
     """A particle on the unit sphere, on T*S²: q̇ = π × q/m, π̇ = −q × ∇V(q) (1.4).
 
     Attributes:

@@ -9,12 +9,12 @@ import jax.numpy as jnp
 from jax import Array
 
 from lieint_jax._numerics.arrays import AlgebraVector, Time
-from lieint_jax.capabilities._capability import Capability, equation
 from lieint_jax.core import Group, State, clock
 from lieint_jax.phase_spaces import ConfigurationGroup
+from lieint_jax.systems._equations.equation import Equations, equation
 
 
-class AbstractKinematics(Capability):
+class AbstractKinematics(Equations):
     """A motion with a given rate: q̇ = qω̂(t) if the rate is that of the body, q̇ = ω̂(t)q if it is given in space.
 
     States have a time and no momenta. There is no energy, which is NaN, no momentum map and no symplectic form.

@@ -1,4 +1,4 @@
-"""A scheme takes the systems that inherit its capability with its equations of motion, and refuses all others."""
+"""A scheme takes the systems that inherit the equations of motion which it integrates, and refuses all others."""
 
 import dataclasses
 import functools
@@ -12,7 +12,7 @@ import pytest
 from grid import systems
 
 import lieint_jax as li
-from lieint_jax import _discover, capabilities, core, schemes
+from lieint_jax import _discover, core, schemes
 from lieint_jax.core import State
 
 J = jnp.array([1.0, 2.0, 3.0])
@@ -34,7 +34,7 @@ OTHERWISE = {  # the end of a message about the systems that many accept
 
 
 def of_another_group(scheme, system):
-    """Whether a scheme accepts the capability of a system, but not on this group."""
+    """Whether a scheme accepts the equations of a system, but not on this group."""
     if scheme == "nystrom":
         return isinstance(system, (li.systems.GroupPotential, li.systems.DrivenGroupPotential))
     return scheme == "log_hamiltonian" and not isinstance(system, li.systems.PotentialTop)
@@ -64,7 +64,7 @@ class Undeclared:
 
 @li.pytree
 class Gyrostat(li.systems.RigidBody):
-    """The same as a subclass of the free body, which inherits its capability."""
+    """The same as a subclass of the free body, which inherits its equations."""
 
     inertia: jax.Array
     rotor: jax.Array
@@ -147,9 +147,9 @@ def test_every_step_moves_by_the_vector_field_of_its_system(name):
     """With unequal moments in axes of their own: the symmetry of an example hides mistakes."""
     system, state, _ = dict(systems())[name]
     system, dt = with_other_moments(system) or system, 2e-5  # the error is O(Δt²), of elastic bodies 1200 Δt²
-    if isinstance(system, capabilities.AbstractIncompressibleBody):  # whose momenta depend on the moments
+    if isinstance(system, li.systems.IncompressibleBody):  # whose momenta depend on the moments
         state = system.state(state.q, momentum=state.p)
-    if isinstance(system, capabilities.AbstractTorquedBody):  # whose computer looks at t = 0 at these moments
+    if isinstance(system, li.systems.TorquedBody):  # whose computer looks at t = 0 at these moments
         state, _ = system.sampled(state, jnp.asarray(dt))
     for module in _discover.modules_with("examples", schemes).values():
         for step in module.examples(system).values():
@@ -241,31 +241,31 @@ def test_extreme_bodies_are_accepted():
 
 
 def test_every_system_declares_what_it_is():
-    """The examples of all systems: each is of one capability at least, and none of two that exclude each other."""
+    """The examples of all systems: each has one kind of equations, and none has two that exclude each other."""
     flows = (
-        capabilities.AbstractFreeBody,
-        capabilities.AbstractEmbeddedBody,
-        capabilities.AbstractGeodesicFlow,
-        capabilities.AbstractRightGeodesicFlow,
+        li.systems.AbstractFreeBody,
+        li.systems.EmbeddedBody,
+        li.systems.Euler,
+        li.systems.RightEuler,
     )
     kinds = (
         *flows,
-        capabilities.AbstractForcedSystem,
-        capabilities.AbstractElasticBody,
-        capabilities.AbstractIncompressibleBody,
-        capabilities.AbstractSphereSystem,
+        li.systems.AbstractForcedSystem,
+        li.systems.PseudoRigidBody,
+        li.systems.IncompressibleBody,
+        li.systems.Pendulum,
     )
     kinds += (
-        capabilities.AbstractDrivenSystem,
-        capabilities.AbstractGyrostat,
-        capabilities.AbstractDrivenGyrostat,
-        capabilities.AbstractTorquedBody,
-        capabilities.AbstractFreeBodyInTime,
-        capabilities.AbstractTorquedBodyInTime,
-        capabilities.AbstractDampedBody,
-        capabilities.AbstractDissipativeBodies,
-        capabilities.AbstractViscousBody,
-        capabilities.AbstractKinematics,
+        li.systems.AbstractDrivenSystem,
+        li.systems.Gyrostat,
+        li.systems.DrivenGyrostat,
+        li.systems.TorquedBody,
+        li.systems.InertiaInTime,
+        li.systems.TorquedInertiaInTime,
+        li.systems.DampedBody,
+        li.systems.AbstractDissipativeBodies,
+        li.systems.ViscousBody,
+        li.systems.Kinematics,
     )
     for name, (system, _, _) in systems():
         assert isinstance(system, core.System), name

@@ -7,15 +7,15 @@ from jax import Array
 
 from lieint_jax._numerics.arrays import Matrix3, Scalar
 from lieint_jax._numerics.vectors import Matrix, Symmetric, matrix, symmetric
-from lieint_jax.capabilities._capability import Capability, equation
 from lieint_jax.core import PhaseSpace, State, StoredEnergy
 from lieint_jax.groups import special_linear
 from lieint_jax.phase_spaces import CotangentMatrices, CotangentUnimodular
+from lieint_jax.systems._equations.equation import Equations, equation
 
 _PHASE_SPACE = CotangentMatrices()
 
 
-class AbstractDeformingBody(Capability):
+class AbstractDeformingBody(Equations):
     """An elastic body that deforms homogeneously, on T*GL⁺(3): Ḟ = PE⁻¹, Ṗ = −2F∇W(FᵀF) (6.3).
 
     Attributes:

@@ -1,4 +1,4 @@
-"""Displacements between two states: by `perturb`, or the differences of all entries."""
+"""Displacements between two states as the differences of their entries."""
 
 from __future__ import annotations
 
@@ -6,14 +6,6 @@ import jax.numpy as jnp
 from jax import Array
 
 from lieint_jax.core import State
-
-
-class ByPerturbation:
-    """A phase space in which a displacement is the δ of `perturb`."""
-
-    def displaced(self, start: State, displacement: Array) -> State:
-        """The end of a displacement."""
-        return self.perturb(start, displacement)  # pyright: ignore[reportAttributeAccessIssue]
 
 
 class ByEntries:

@@ -7,11 +7,11 @@ import abc
 from jax import Array
 
 from lieint_jax._numerics.arrays import Scalar, Time
-from lieint_jax.capabilities._capability import Capability, equation
 from lieint_jax.core import State, System, clock
+from lieint_jax.systems._equations.equation import Equations, equation
 
 
-class AbstractForcedSystem(Capability):
+class AbstractForcedSystem(Equations):
     """A system with a kinetic energy and a force that depends on the configuration: the kick of a splitting."""
 
     noun = "systems with a potential (systems.heavy_top, systems.potential_top, systems.group_potential, …)"
@@ -32,7 +32,7 @@ class AbstractForcedSystem(Capability):
         return State(free.q, free.p + self.force(state.q))
 
 
-class AbstractDrivenSystem(Capability):
+class AbstractDrivenSystem(Equations):
     """A kinetic energy and a potential V(q, t) that depends on time in a given way.
 
     H − W is conserved, with the work W = ∫∂V/∂t dt.

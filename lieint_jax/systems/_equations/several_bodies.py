@@ -13,15 +13,15 @@ from jax import Array
 from lieint_jax import potentials
 from lieint_jax._numerics.arrays import Inertia, PoseMomenta, Poses, Positions, PyTree, Rotations, Scalar, Time
 from lieint_jax._numerics.vectors import symmetric
-from lieint_jax.capabilities._capability import Capability, equation
-from lieint_jax.capabilities._forces import AbstractForcedSystem
-from lieint_jax.capabilities._one_body import AbstractFreeBody
 from lieint_jax.core import ChainLaw, PhaseSpace, State, clock, pair_forces
 from lieint_jax.groups import so3
 from lieint_jax.phase_spaces import CotangentMotions
+from lieint_jax.systems._equations.equation import Equations, equation
+from lieint_jax.systems._equations.forces import AbstractForcedSystem
+from lieint_jax.systems._equations.one_body import AbstractFreeBody
 
 
-class AbstractManyBodies(Capability):
+class AbstractManyBodies(Equations):
     """N rigid bodies: ẋ = p/m, q̇ = ½ q Ω.
 
     A state is q (N, 7), position and quaternion of each, and p (N, 6), linear and spatial angular momentum.
