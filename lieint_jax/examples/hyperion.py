@@ -23,7 +23,7 @@ PER_ORBIT = 60  # steps; 40, 80 and 160 give the same result: 44 % chaotic, mean
 TILT = np.deg2rad(5.0)  # rad, of motions in space from the starts of planar ones
 PER_ORBIT_OBSERVED = 180  # 360, or 60 of order 4, give the same result; 60 halve the weak exponents of corrected states
 CHAOTIC = 3.0  # a motion counts as chaotic above this many times ln(t)/t, the exponent of regular motions
-SHARED = (None, li.State(0, 0, None))  # axes of members in steps and states: these share their step and their time
+SHARED = (None, 0, 0, None)  # axes of members in step, q, p and t: these share their step and their time
 PLANES = np.array([[0, 0, 1, 0, 0, 1], [1, 1, 0, 1, 1, 0]]).T  # (δθ, δπ) in the plane and out of it, which do not mix
 
 # Principal moments about the axes a, b, c, eccentricity, mean anomaly (°) and spin rate (n) at each date.
@@ -124,19 +124,19 @@ def planar_step_and_starts(members):
     half, zero = np.pi / ANGLES * (k % ANGLES) / 2, np.zeros(members)
     q = jnp.asarray(np.stack([np.cos(half), zero, zero, np.sin(half)], axis=1))
     Omega = jnp.asarray(np.stack([zero, zero, GREATEST_RATE / (rates - 1) * (k // ANGLES)], axis=1))
-    step = li.schemes.splitting(li.systems.gravity_gradient(INERTIA, li.orbits.kepler(1.0, 1.0, ECCENTRICITY)))
-    states = jax.vmap(lambda q, Omega: step.system.state(q, angular_velocity=Omega, t=0.0))(q, Omega)
-    return step, states._replace(t=jnp.zeros(()))
+    moon = li.systems.gravity_gradient(INERTIA, li.orbits.kepler(1.0, 1.0, ECCENTRICITY))
+    states = jax.vmap(lambda q, Omega: moon.state(q, angular_velocity=Omega, t=0.0))(q, Omega)
+    return li.schemes.splitting(moon), states._replace(t=jnp.zeros(()))
 
 
 def exponents(step, states, orbits, per_orbit, vectors, in_axes):
     """The Lyapunov exponents of many states for initial tangent vectors (6, k)."""
     dt, num_steps = 2 * np.pi / per_orbit, orbits * per_orbit
 
-    def of_one(step, state):
-        return li.diagnostics.lyapunov(step, state, dt, num_steps, every=20, vectors=jnp.asarray(vectors))
+    def of_one(step, q, p, t):
+        return li.diagnostics.lyapunov(step, li.State(q, p, t), dt, num_steps, every=20, vectors=vectors)
 
-    return li.over_members(of_one, in_axes)(step, states)
+    return li.over_members(of_one, in_axes)(step, states.q, states.p, states.t)
 
 
 def observed_exponents(orbits):
@@ -144,10 +144,10 @@ def observed_exponents(orbits):
     bodies = []
     for date, _, euler, axis in OBSERVED:
         inertia, eccentricity, mean_anomaly, rate = DATES[date]
-        step = li.schemes.splitting(li.systems.gravity_gradient(inertia, li.orbits.kepler(1.0, 1.0, eccentricity)))
-        q = li.attitude.from_euler("ZXZ", np.deg2rad(euler))
-        Omega = rate * np.array(axis) / np.linalg.norm(axis)
-        bodies.append((step, step.system.state(q, angular_velocity=Omega, t=np.deg2rad(mean_anomaly))))
+        moon = li.systems.gravity_gradient(inertia, li.orbits.kepler(1.0, 1.0, eccentricity))
+        q, Omega = li.attitude.from_euler("ZXZ", np.deg2rad(euler)), rate * np.array(axis) / np.linalg.norm(axis)
+        state = moon.state(q, angular_velocity=Omega, t=np.deg2rad(mean_anomaly))
+        bodies.append((li.schemes.splitting(moon), state))
     steps, states = jax.tree.map(lambda *x: jnp.stack(x), *bodies)
     return exponents(steps, states, orbits, PER_ORBIT_OBSERVED, np.ones((6, 1)), 0)
 
