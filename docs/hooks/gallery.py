@@ -51,7 +51,7 @@ SIZES = {  # options of scripts that need longer without them
     "pendulum": "--no-certificate",
     "pluto_charon": "--no-certificate",
     "pseudo_rigid": "--members 20 --no-certificate",
-    "satellite_fit": "--guesses 5000 --starts 40 --continued 10 --sets 10",
+    "satellite_fit": "--guesses 5000 --starts 40",
     "sensitivity": "--steps 5000",
     "sn263": "--members 5 --no-certificate",
     "toutatis": "--steps 16000",
