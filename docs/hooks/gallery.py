@@ -42,8 +42,7 @@ SIZES = {  # options of scripts that need longer without them
     "didymos": "--members 20 --no-certificate",
     "driven": "--members 20 --steps 4000 --no-certificate",
     "gyro": "--trials 20",
-    "hyperion": "--members 240 --steps 6000 --angles 12 --planar-starts 8 --planar-orbits 100 --spatial-starts 4 "
-    "--spatial-orbits 50 --around 4 --around-orbits 100",
+    "hyperion": "--members 480 --steps 6000 --spatial-starts 4 --orbits 200",
     "kappa": "--training 50 --unseen 100 --runs 4 --steps 100",
     "kirchhoff": "--no-certificate",
     "kw4": "--members 20 --no-certificate",
@@ -52,7 +51,7 @@ SIZES = {  # options of scripts that need longer without them
     "pendulum": "--no-certificate",
     "pluto_charon": "--no-certificate",
     "pseudo_rigid": "--members 20 --no-certificate",
-    "satellite_fit": "--guesses 5000 --starts 40 --continued 10 --sets 10",
+    "satellite_fit": "--guesses 5000 --starts 40",
     "sensitivity": "--steps 5000",
     "sn263": "--members 5 --no-certificate",
     "toutatis": "--steps 16000",

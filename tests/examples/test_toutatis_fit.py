@@ -40,37 +40,22 @@ def test_the_fit_prints_the_values_that_were_kept(capsys, tmp_path):
     text = capsys.readouterr().out
     assert (tmp_path / "fit.png").read_bytes().startswith(b"\x89PNG")
     for name in toutatis_fit.QUANTITIES:  # fitted, ± 1σ; the published states with their differences in σ
-        (value, sigma, _, *states), kept = numbers(name, text)
+        (value, sigma, *states), kept = numbers(name, text)
         np.testing.assert_allclose([value, sigma, *states[::2]], [*kept[:2], *kept[2::2]], rtol=0, atol=1.1e-3)
         np.testing.assert_allclose(states[1::2], kept[3::2], rtol=0, atol=0.11)
-    assert "100 % of 37 random starts end there" in text
+    assert "100 % of 39 random starts end there" in text
     for words in (
         "loss 686.578",
         "attitudes 3.02 ± 0.47°, rates 4.01 ± 0.62 °/d",
-        "4.44°, 9.80 °/d",
-        "Zhao and Takahashi: 63 (0 of 20",
-        "9 (8 of 20",
         "180.2 ± 0.3      -0.3 σ",
-        "7.9° rms in single fixes of 1992",
-        "0.614 ± 0.034",
-        "116 days",
         "enlarged by 1.000 (noise: 1.044)",
-        "± 0.24 and ± 0.22 °/d",
+        "outliers in attitude or rate: 1992-12-04, 1992-12-07, 1992-12-14",
     ):
         assert words in text, words
     later = text.partition("torque-free prediction")[2]
-    # The search ends where the loss is exact to 1e-7; years later this is 0.5°: 100.42, 139.22, 157.58 at the minimum.
-    for name in ("fitted", "members, 5 to 95 %", "members farther off"):  # (°); %
-        found, kept = numbers(name, later)
-        assert found == pytest.approx(kept, abs=1.01)
-    for date in ("1992-12-02 21:40", "1992-12-07 17:20", "1992-12-18 07:09"):  # residuals of attitude and rate
-        found, kept = numbers(date, text)
-        assert found == pytest.approx([kept[0], kept[4]], abs=0.011)
-    assert [line[2:12] for line in text.splitlines() if line[2:6] == "1992" and "*" in line] == [
-        "1992-12-04",
-        "1992-12-07",
-        "1992-12-14",
-    ]
+    for date in ("2004-10-10", "2008-11-23", "2012-12-13"):  # (°): the fit, and 5 to 95 % of its members
+        found, kept = numbers(date, later)
+        assert found == pytest.approx(kept, abs=0.11)
 
 
 @pytest.mark.long
@@ -191,7 +176,7 @@ def test_normal_errors_have_the_noise_and_the_covariance_of_least_squares():
     both = jax.jit(jax.jacfwd(lambda x: (e := toutatis_fit.errors(unravel(x), data), e), has_aux=True))
     J, e = (np.asarray(x) for x in both(x))
     noise = np.sqrt((e**2).mean(axis=(1, 2)))  # of maximum likelihood
-    problem, freedom = toutatis_fit.spin_problem(data, params), jnp.asarray(toutatis_fit.NORMAL)
+    problem, freedom = toutatis_fit.spin_problem(data, params), jnp.asarray(1e8)  # of a normal distribution
     normal = problem.estimate(params | {"noise": jnp.asarray(noise)}, jnp.zeros(()), data, freedom)
     share = np.einsum("knci,kncj->kij", J, J) / noise[:, None, None] ** 2
     used = np.trace(np.linalg.solve(share.sum(axis=0), share), axis1=1, axis2=2)
@@ -205,20 +190,19 @@ def test_normal_errors_have_the_noise_and_the_covariance_of_least_squares():
 
 @pytest.mark.long
 def test_the_errors_of_the_fit_include_the_truth_as_often_as_expected(capsys, tmp_path):
-    """At its default size: 100 synthetic sets. Measured: 70 % within 1σ, 96 % within 2σ, 93 % inside the ellipsoid."""
+    """At its default size: 100 synthetic sets. Measured: 70 % within 1σ, 96 % within 2σ."""
     toutatis_fit.main(members=200, out=tmp_path / "fit.png", pictures=False)
     text = capsys.readouterr().out
-    assert "100 % of 197 random starts end there" in text
+    assert "100 % of 199 random starts end there" in text
     assert "in 100 others (100 fits succeeded)" in text
     [one, two, scatter] = re.search(
-        r"(\S+) % of the parameters[\s\S]* (\S+) % within 2σ.*rms/σ is (\S+);", text
+        r"(\S+) % of the parameters[\s\S]* (\S+) % within 2σ[\s\S]*rms/σ is (\S+)", text
     ).groups()
     assert 62 < float(one) < 75
     assert 93 < float(two) < 98
     assert 0.9 < float(scatter) < 1.1
-    assert float(re.search(r"ellipsoid in (\d+) %", text)[1]) > 88
     assert 1 < float(re.search(r"enlarged by (\S+) ", text)[1]) < 1.2  # 1.07
-    for words in ("Takahashi", "Zhao", "Hudson & Ostro", "No miss is outside the spread"):
+    for words in ("Takahashi", "Zhao", "Hudson & Ostro"):
         assert words in text
 
 
