@@ -43,58 +43,60 @@ Attitudes are unit quaternions (w, x, y, z), body to space. Momenta are in the a
 be used. `lieint list` on the command line lists examples, systems and schemes.
 """
 
-import importlib
-from types import ModuleType
-from typing import TYPE_CHECKING
+from __future__ import annotations
 
-from lieint_jax import (
-    attitude,
-    core,
-    dates,
-    diagnostics,
-    elliptic,
-    files,
-    fitting,
-    groups,
-    maps,
-    measure,
-    orbits,
-    phase_spaces,
-    potentials,
-    schemes,
-    shapes,
-    systems,
-    tides,
-    torques,
-)
-from lieint_jax._cache import cache_programs
+import importlib
+from typing import TYPE_CHECKING, Any
+
 from lieint_jax._version import __version__
-from lieint_jax._xla import jit
-from lieint_jax.core import State, Step, StepInfo, Trajectory, pytree, static
-from lieint_jax.diagnostics import equilibrium, normal_modes
-from lieint_jax.fitting import fit
-from lieint_jax.native import engine, explain, scan
-from lieint_jax.runs import (
-    Event,
-    RecursiveCheckpointAdjoint,
-    ReversibleAdjoint,
-    Run,
-    StoreOptions,
-    count_cores,
-    event,
-    integrate,
-    interpolate,
-    over_members,
-    part_of_task,
-    peak_memory,
-    run,
-    submit,
-    transition,
-)
-from lieint_jax.runs import open_run as open  # noqa: A004
 
 if TYPE_CHECKING:
-    from lieint_jax import plots, report
+    from lieint_jax import (
+        attitude,
+        core,
+        dates,
+        diagnostics,
+        elliptic,
+        files,
+        fitting,
+        groups,
+        maps,
+        measure,
+        orbits,
+        phase_spaces,
+        plots,
+        potentials,
+        report,
+        schemes,
+        shapes,
+        systems,
+        tides,
+        torques,
+    )
+    from lieint_jax._cache import cache_programs
+    from lieint_jax._xla import jit
+    from lieint_jax.core import State, Step, StepInfo, Trajectory, pytree, static
+    from lieint_jax.diagnostics import equilibrium, normal_modes
+    from lieint_jax.fitting import fit
+    from lieint_jax.native import engine, explain, scan
+    from lieint_jax.runs import (
+        Event,
+        RecursiveCheckpointAdjoint,
+        ReversibleAdjoint,
+        Run,
+        StoreOptions,
+        count_cores,
+        event,
+        integrate,
+        interpolate,
+        over_members,
+        part_of_task,
+        peak_memory,
+        run,
+        submit,
+        transition,
+    )
+    from lieint_jax.runs import open_run as open  # noqa: A004
 
 __all__ = [
     "Event",
@@ -150,13 +152,37 @@ __all__ = [
     "transition",
 ]
 
+_PLACES = {  # of the names that are no modules themselves
+    "_cache": ("cache_programs",),
+    "_xla": ("jit",),
+    "core": ("State", "Step", "StepInfo", "Trajectory", "pytree", "static"),
+    "diagnostics": ("equilibrium", "normal_modes"),
+    "fitting": ("fit",),
+    "native": ("engine", "explain", "scan"),
+    "runs": (
+        *("Event", "RecursiveCheckpointAdjoint", "ReversibleAdjoint", "Run", "StoreOptions", "count_cores", "event"),
+        *("integrate", "interpolate", "open", "over_members", "part_of_task", "peak_memory", "run", "submit"),
+        "transition",
+    ),
+}
+_PLACE = {name: place for place, names in _PLACES.items() for name in names}
 
-def __getattr__(name: str) -> ModuleType:
-    """The rooms that are imported when they are asked for: `plots` loads matplotlib."""
-    if name in ("plots", "report"):
-        return importlib.import_module(f"lieint_jax.{name}")
-    raise AttributeError(f"module 'lieint_jax' has no attribute {name!r}")
+
+def _find(name: str) -> Any:
+    """A room, or what a room has, imported when it is asked for."""
+    if name not in __all__:
+        raise AttributeError(f"module 'lieint_jax' has no attribute {name!r}")
+    if name in ("schemes", "Step"):
+        importlib.import_module("lieint_jax.runs")  # which gives a step inside `jax.shard_map` its loop
+    place = importlib.import_module(f"lieint_jax.{_PLACE.get(name, name)}")
+    return place if name not in _PLACE else getattr(place, "open_run" if name == "open" else name)
 
 
-def __dir__() -> list[str]:
-    return sorted(__all__)
+if not TYPE_CHECKING:  # a type checker finds a wrong name by itself
+
+    def __getattr__(name: str) -> Any:
+        found = globals()[name] = _find(name)
+        return found
+
+
+__dir__ = __all__.copy

@@ -46,6 +46,7 @@ __all__ = [
     "to_scalar_first",
     "to_scalar_last",
 ]
+__dir__ = __all__.copy
 
 Frame = Literal["body_to_space", "space_to_body"]
 

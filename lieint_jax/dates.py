@@ -29,6 +29,7 @@ from numpy.typing import ArrayLike
 from lieint_jax import _checks
 
 __all__ = ["SCALES", "Epoch", "epoch"]
+__dir__ = __all__.copy
 
 SCALES = ("UTC", "UT1", "TAI", "TT", "TDB", "GPS")
 _AFTER_TAI = {"TAI": Fraction(0), "TT": Fraction(32184, 1000), "TDB": Fraction(32184, 1000), "GPS": Fraction(-19)}

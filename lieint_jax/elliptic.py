@@ -31,6 +31,7 @@ from lieint_jax._numerics.select import where
 from lieint_jax._xla import compiled, forward_mode
 
 __all__ = ["RC", "RD", "RF", "RJ", "E", "F", "K", "Pi", "cn", "dn", "sn"]
+__dir__ = __all__.copy
 
 
 def K(m: ArrayLike) -> Array:

@@ -23,6 +23,7 @@ from lieint_jax.runs import Run
 from lieint_jax.systems import AbstractManyBodies
 
 __all__ = ["Change", "Published", "Row", "certificate", "changes", "new_path", "text"]
+__dir__ = __all__.copy
 
 _WIDTH = 34  # smallest width of the column of names
 _MAX_MISFIT = 3  # published errors; a larger difference is noted

@@ -25,6 +25,7 @@ from lieint_jax.core import Converted, PairLaw, argument, pytree
 from lieint_jax.potentials import Potential
 
 __all__ = ["LaggingTides", "PairLaw", "constant_lag", "constant_q", "double_synchronous"]
+__dir__ = __all__.copy
 
 
 @pytree

@@ -10,3 +10,4 @@ from __future__ import annotations
 from lieint_jax._discover import publish as _publish
 
 __all__ = _publish(__name__)  # pyright: ignore[reportUnsupportedDunderAll]
+__dir__ = __all__.copy

@@ -63,3 +63,4 @@ __all__ = [
     "step_cost",
     "symplectic_defect",
 ]
+__dir__ = __all__.copy

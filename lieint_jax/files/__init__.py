@@ -56,3 +56,4 @@ __all__ = [
     "write_csv",
     "write_oem",
 ]
+__dir__ = __all__.copy

@@ -42,3 +42,4 @@ __all__ = [
     "student_t_weights",
     "tumbling",
 ]
+__dir__ = __all__.copy

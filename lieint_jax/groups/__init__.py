@@ -39,3 +39,4 @@ __all__ = [
     "translations",
     "upper_triangular",
 ]
+__dir__ = __all__.copy

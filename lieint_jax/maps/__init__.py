@@ -47,3 +47,4 @@ __all__ = [
     "scaled_cayley",
     "symplectic_residual",
 ]
+__dir__ = __all__.copy

@@ -120,3 +120,4 @@ __all__ = [
     "tumbling_periods",
     "unwrapped",
 ]
+__dir__ = __all__.copy

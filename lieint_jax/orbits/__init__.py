@@ -21,3 +21,4 @@ constants are in km and seconds: `EARTH_GM`, `EARTH_RADIUS`, `EARTH_J2`, `EARTH_
 from lieint_jax._discover import publish as _publish
 
 __all__ = _publish(__name__)  # pyright: ignore[reportUnsupportedDunderAll]
+__dir__ = __all__.copy

@@ -16,3 +16,4 @@ __all__ = [
     "EmbeddedRotations",
     "frame",
 ]
+__dir__ = __all__.copy

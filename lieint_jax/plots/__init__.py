@@ -90,3 +90,4 @@ __all__ = [
     "style",
     "works",
 ]
+__dir__ = __all__.copy

@@ -17,3 +17,4 @@ these of any potential, `symmetry` the momenta that it conserves.
 from lieint_jax._discover import publish as _publish
 
 __all__ = _publish(__name__)  # pyright: ignore[reportUnsupportedDunderAll]
+__dir__ = __all__.copy

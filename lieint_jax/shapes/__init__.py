@@ -35,3 +35,4 @@ __all__ = [
     "sites",
     "surface",
 ]
+__dir__ = __all__.copy

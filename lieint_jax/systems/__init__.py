@@ -18,4 +18,5 @@ from lieint_jax._discover import publish as _publish
 from lieint_jax.systems._catalogue import catalogue
 
 __all__ = _publish(__name__)  # pyright: ignore[reportUnsupportedDunderAll]
+__dir__ = __all__.copy
 __doc__ = f"{__doc__}\n{catalogue().markdown(columns=2)}\n"

@@ -31,3 +31,4 @@ laws (potentials, wheels, a damper's sphere), and H − ΣW is conserved to roun
 from lieint_jax._discover import publish as _publish
 
 __all__ = _publish(__name__)  # pyright: ignore[reportUnsupportedDunderAll]
+__dir__ = __all__.copy
