@@ -60,10 +60,7 @@ PhaseMatrix: TypeAlias = Float[Array, "dim dim"]
 TangentVectors: TypeAlias = Float[Array, "dim columns"]
 MomentumMap: TypeAlias = Float[Array, "k"]
 
-TimeSeries: TypeAlias = Float[Array, "times"]
-InvariantSeries: TypeAlias = Float[Array, "times *members"]
-MomentumSeries: TypeAlias = Float[Array, "times *members k"]
-DelayPlot: TypeAlias = Float[Array, "points 3"]
+MatrixSeries: TypeAlias = Float[Array, "times n n"]
 
 Masses: TypeAlias = Float[Array, "N"]
 Positions: TypeAlias = Float[Array, "N 3"]

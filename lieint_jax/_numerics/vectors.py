@@ -315,7 +315,7 @@ def symmetric(J: Array) -> Symmetric:
     if J.shape not in ((3,), (3, 3)):
         raise ValueError(
             f"a tensor of one body has shape (3,) or (3, 3), got {J.shape}: where each member has a system of its own, "
-            "give own_step=True or system_axis=0, or use jax.vmap"
+            "give own_step=True, or use jax.vmap"
         )
     return Symmetric(components(J)) if J.ndim == 1 else entries(J)
 

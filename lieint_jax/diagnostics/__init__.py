@@ -3,13 +3,12 @@
 | | |
 |---|---|
 | `certify` | all conservation properties from one state, with verdicts: energy, momentum, form, order, reversibility |
-| `energy_error`, `momentum_error`, `constraint_error` | along a trajectory |
 | `linearization`, `symplectic_defect`, `poisson_error` | Lₙ of a step by `jacfwd`, and whether it is symplectic |
 | `order`, `local_error`, `reversibility` | accuracy of runs, and of one step; time symmetry |
 | `round_trip_error` | how far a run of steps of dt and as many of −dt ends from its start |
 | `flow` | the motion by collocation of order 16, as a reference |
 | `RungeKutta`, `step_cost` | a step that conserves nothing, to compare with; the seconds that a step takes |
-| `lyapunov`, `megno`, `section`, `delay` | chaos: exponents, MEGNO, Poincaré sections, delay plots |
+| `lyapunov`, `megno`, `section` | chaos: exponents, MEGNO, Poincaré sections |
 | `exponents_of_flow`, `exponent_of_neighbors` | exponents without the tangent flow of a step, to verify them |
 | `modified_energy` | the first terms of the Hamiltonian that a symplectic splitting conserves |
 | `equilibrium`, `normal_modes` | relative equilibria, frequencies of small oscillations, stability with its margin |
@@ -29,7 +28,6 @@ from lieint_jax.diagnostics._normal_modes import NormalModes, normal_modes
 from lieint_jax.diagnostics._order import flow, order, reversibility, round_trip_error
 from lieint_jax.diagnostics._poisson import poisson_error
 from lieint_jax.diagnostics._runge_kutta import RungeKutta, step_cost
-from lieint_jax.diagnostics._series import constraint_error, delay, energy_error, momentum_error
 from lieint_jax.diagnostics._symplectic import linearization, symplectic_defect
 from lieint_jax.diagnostics._thermal import ThermalCertificate
 
@@ -45,9 +43,6 @@ __all__ = [
     "ThermalCertificate",
     "certify",
     "conditions",
-    "constraint_error",
-    "delay",
-    "energy_error",
     "equilibrium",
     "exponent_of_neighbors",
     "exponents_of_flow",
@@ -58,7 +53,6 @@ __all__ = [
     "lyapunov",
     "megno",
     "modified_energy",
-    "momentum_error",
     "normal_modes",
     "order",
     "poisson_error",

@@ -162,7 +162,7 @@ def conditions(step: Step, state: State, dt: Any) -> Conditions:
     else:
         raise ValueError(
             "conditions are those of the paper for left-invariant systems on groups and for pseudo-rigid bodies, got "
-            f"{type(system).__name__}; use symplectic_defect, energy_error and momentum_error"
+            f"{type(system).__name__}; use symplectic_defect, run.energy_error() and run.momentum_error()"
         )
     eps = jnp.finfo(state.p.dtype).eps
     return Conditions({k: x for k, (x, _) in found.items()}, {k: eps * y for k, (_, y) in found.items()}, step.name)

@@ -13,11 +13,10 @@ from jax import Array
 from lieint_jax import _checks
 from lieint_jax._xla import rereading_jit
 from lieint_jax.core import State
-from lieint_jax.diagnostics._series import energy_error
 from lieint_jax.diagnostics._symplectic import symplectic_defect
 from lieint_jax.groups import MatrixGroup
 from lieint_jax.maps import Map
-from lieint_jax.runs import integrate
+from lieint_jax.runs import Run, integrate
 from lieint_jax.schemes import group_midpoint
 from lieint_jax.systems import Euler
 
@@ -82,11 +81,11 @@ def group_conservation(group: MatrixGroup, tau: Map, metrics: int = 4) -> GroupC
 def _measure_metric(tau: Map, dt: float, steps: int, system: Euler, state: State) -> tuple[Array, ...]:
     """Energy error, largest ‖Ad_q‖, change of momentum, symplectic defect and convergence, with one metric."""
     step = group_midpoint(system, tau)
-    run = integrate(step, state, dt, steps, save_every=steps // 10)
+    run = Run.of(step, integrate(step, state, dt, steps, save_every=steps // 10))
     identity = jnp.eye(system.group.dim)
     Ad_q = jax.vmap(lambda q: jax.vmap(system.group.Ad, (None, 1), 1)(q, identity))(run.state.q)
     return (
-        jnp.max(jnp.abs(energy_error(system, run))) / system.energy(state),
+        jnp.max(jnp.abs(run.energy_error())) / system.energy(state),
         jnp.max(jnp.linalg.norm(Ad_q, axis=(1, 2))),
         jnp.max(jnp.abs(run.state.p - state.p)),
         symplectic_defect(step, state, 0.05),

@@ -10,7 +10,7 @@ from jax import Array, lax
 from jax.typing import ArrayLike
 
 from lieint_jax import _checks
-from lieint_jax._numerics.arrays import TimeSeries
+from lieint_jax._numerics.arrays import MatrixSeries
 from lieint_jax._xla import compiled
 from lieint_jax.capabilities import (
     AbstractDampedBody,
@@ -33,7 +33,7 @@ _OTHERS = (
 
 def poisson_error(
     step: Step, state: State, dt: ArrayLike, num_steps: int, *, method: _Method | None = None
-) -> TimeSeries:
+) -> MatrixSeries:
     """The Poisson error along a run, which is zero if and only if all its steps are symplectic.
 
     The linearized steps transport the Poisson matrix, P_{n+1} = L_n P_n L_nᵀ (5.34) from P₀ = ω⁻¹(z₀). For
@@ -75,7 +75,7 @@ def poisson_error(
 
 
 @partial(compiled, static_argnums=3)
-def _recursion(step: Step, state: State, dt: ArrayLike, num_steps: int) -> TimeSeries:
+def _recursion(step: Step, state: State, dt: ArrayLike, num_steps: int) -> MatrixSeries:
     """σ_n by (5.36), shape (num_steps+1, d, d)."""
     space = step.system.phase_space
     d, omega = space.dim // 2, space.omega(state)
@@ -93,7 +93,7 @@ def _recursion(step: Step, state: State, dt: ArrayLike, num_steps: int) -> TimeS
 
 
 @partial(compiled, static_argnums=3)
-def _all_errors(step: Step, state: State, dt: ArrayLike, num_steps: int) -> TimeSeries:
+def _all_errors(step: Step, state: State, dt: ArrayLike, num_steps: int) -> MatrixSeries:
     """P_n − ω⁻¹(z_n), shape (num_steps+1, 2d, 2d)."""
     space = step.system.phase_space
 

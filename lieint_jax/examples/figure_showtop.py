@@ -44,7 +44,7 @@ def main(
     step, state = li.schemes.so3_midpoint(body, scaling), body.state(angular_velocity=OMEGA)
     run = li.integrate(step, state, dt, steps)
     sigma = jax.jit(lambda z: jax.vmap(so3.vee)(li.diagnostics.poisson_error(step, z, dt, steps)))(state)
-    energy, poisson = np.asarray(li.diagnostics.energy_error(body, run)), np.asarray(jnp.linalg.norm(sigma, axis=1))
+    energy, poisson = np.asarray(li.Run.of(step, run).energy_error()), np.asarray(jnp.linalg.norm(sigma, axis=1))
     print(f"showtop (Appendix A): {kappa} κ, t = {duration:g}, Δt = {dt:g}")
     print(f"  max |H − H₀| = {np.abs(energy).max():.2g}, max|σ| = {poisson.max():.3g}")
     rotations = np.asarray(jax.vmap(so3.to_matrix)(run.state.q))

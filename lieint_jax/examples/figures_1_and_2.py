@@ -59,7 +59,7 @@ def errors(case):
     def measure():
         sigma = jax.vmap(li.groups.so3.vee)(li.diagnostics.poisson_error(step, state, case.dt, round(n)))
         run = li.integrate(step, state, case.dt, round(n))
-        return jnp.linalg.norm(sigma, axis=1), li.diagnostics.energy_error(body, run)
+        return jnp.linalg.norm(sigma, axis=1), li.Run.of(step, run).energy_error()
 
     return tuple(np.asarray(x) for x in jax.jit(measure)())
 

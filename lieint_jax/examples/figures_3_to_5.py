@@ -108,7 +108,7 @@ def draw(found):
     fig, axes = li.plots.figure(2, 2, subplot_kw={"projection": "3d"})
     for ax, (panel, (x, _)) in zip(axes.flat, found.items(), strict=True):
         symbol = "d" if panel.displacement else "H"
-        li.plots.delay_plot(ax, np.asarray(li.diagnostics.delay(jnp.asarray(x), panel.lag)), symbol)
+        li.plots.delay_plot(ax, x, panel.lag, symbol)
         ax.set_title(
             f"({panel.name[1]}) Δt = {panel.dt:g}, N = {panel.lag}, π₃ = {panel.Phi:g}\n"
             f"max {symbol} − min {symbol} = {tex(np.ptp(x))}; in the paper {tex(panel.printed)}"

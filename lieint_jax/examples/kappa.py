@@ -134,7 +134,7 @@ def long_runs(top, weights, states, steps):
     def measure(state):
         path = li.integrate(step, state, DT, steps, save_every=every)
         error = jnp.max(jnp.abs(li.diagnostics.poisson_error(step, state, DT, steps)), axis=(1, 2))[every::every]
-        energy = jnp.max(jnp.abs(li.diagnostics.energy_error(top, path)))
+        energy = jnp.max(jnp.abs(li.Run.of(step, path).energy_error()))
         return jax.tree.map(lambda x: jnp.where(path.info.converged.all(), x, jnp.nan), (error, energy))
 
     return jax.vmap(measure)(states)

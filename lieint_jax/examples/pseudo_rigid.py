@@ -91,7 +91,7 @@ def draw_torus(one, midpoint):
     H = np.asarray(midpoint.map(lambda step, z: step.system.energy(z)))
     panels = {"energy H of the midpoint rule": ("H", H), "displacement d = ‖F − 1‖²": ("d", displacement(one))}
     for ax, (title, (symbol, x)) in zip(axes, panels.items(), strict=True):
-        li.plots.delay_plot(ax, np.asarray(li.diagnostics.delay(jnp.asarray(x), LAG)), symbol)
+        li.plots.delay_plot(ax, x, LAG, symbol)
         ax.set_title(f"{title},\nless the middle of its range, at the steps n, n + N, n + 2N; N = {LAG}")
     fig.suptitle(TITLE)
     return fig

@@ -74,7 +74,7 @@ def main(
 
     states = jax.jit(jax.vmap(state))(noise.at[0].set(0.0))
     run = li.run(step, states, DT, steps, save_every=SAVE_EVERY, store=store, resume=resume)
-    values = [*li.measure.periods(run)[:2], *(np.rad2deg(angle[0]) for angle in li.measure.pole(run))]
+    values = [*li.measure.tumbling_periods(run)[:2], *(np.rad2deg(angle[0]) for angle in li.measure.pole(run))]
     rows = [
         li.report.Row(name, x, published, angle="(°)" in name)
         for (name, published), x in zip(PUBLISHED.items(), values, strict=True)

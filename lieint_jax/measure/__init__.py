@@ -3,7 +3,7 @@
 | | |
 |---|---|
 | `tilt`, `pole`, `rotation_rates` | the angle of a body axis; the direction of the angular momentum; the spin |
-| `periods` | the two mean periods of a tumbling body |
+| `tumbling_periods` | the two mean periods of a tumbling body |
 | `nutation` | nutation and precession of a top or a pendulum |
 | `orbit_angles`, `orbit_axes` | how a body on a given orbit points |
 | `relative_motion` | the motion of one of several bodies about another |
@@ -25,7 +25,7 @@ Angles are in radians, times in the run's unit. A run of one body gives scalars 
 and (times, members), also where each member has its own step. What a run does not show is NaN.
 """
 
-from lieint_jax.measure._attitude import MeasuredPeriods, Pole, periods, pole, rotation_rates, tilt
+from lieint_jax.measure._attitude import MeasuredPeriods, Pole, pole, rotation_rates, tilt, tumbling_periods
 from lieint_jax.measure._combinations import (
     Combination,
     DoublePeriods,
@@ -111,12 +111,12 @@ __all__ = [
     "pair_density",
     "pair_energies",
     "periodogram",
-    "periods",
     "pole",
     "relative_motion",
     "rotation_rates",
     "sines",
     "spectrum",
     "tilt",
+    "tumbling_periods",
     "unwrapped",
 ]

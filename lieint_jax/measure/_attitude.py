@@ -29,7 +29,7 @@ from lieint_jax.measure._states import (
 from lieint_jax.phase_spaces import frame
 from lieint_jax.runs import Run
 
-__all__ = ["MeasuredPeriods", "Pole", "periods", "pole", "rotation_rates", "tilt"]
+__all__ = ["MeasuredPeriods", "Pole", "pole", "rotation_rates", "tilt", "tumbling_periods"]
 
 _UPRIGHT = 64  # eps: a smaller angle between Π and the axis is rounding
 _COARSE = 2.5  # largest angle, at the rate |Π|/J₁, between saved states that can be unwrapped safely
@@ -130,7 +130,7 @@ class MeasuredPeriods(NamedTuple):
     long_axis: np.ndarray
 
 
-def periods(run: Run) -> MeasuredPeriods:
+def tumbling_periods(run: Run) -> MeasuredPeriods:
     """The two mean periods of a tumbling free body, from its motion: those of the mean rates of two angles.
 
     They converge like `mean_rate`, with the inverse fourth power of the duration, to those in closed form of

@@ -16,6 +16,8 @@ from matplotlib.figure import Figure
 from matplotlib.patheffects import withStroke
 from numpy.typing import ArrayLike
 
+from lieint_jax import _checks
+
 _STYLE = Path(__file__).with_name("lieint.mplstyle")
 _LOOK = matplotlib.rc_params_from_file(_STYLE, use_default_template=False)
 COLORS: tuple[str, ...] = tuple(_LOOK["axes.prop_cycle"].by_key()["color"])
@@ -327,11 +329,22 @@ def _view_direction(ax: SpatialAxes) -> np.ndarray:
     return np.array([np.cos(e) * np.cos(a), np.cos(e) * np.sin(a), np.sin(e)])
 
 
-def delay_plot(ax: SpatialAxes, points: np.ndarray, symbol: str = "x") -> SpatialAxes:
-    """Plot the points (x_n, x_{n+N}, x_{n+2N}) of a series, (n, 3), relative to the middle of their range, as dots.
+def delay_plot(ax: SpatialAxes, series: ArrayLike, lag: int, symbol: str = "x") -> SpatialAxes:
+    """Plot the points (x_n, x_{n+N}, x_{n+2N}) of a series x as dots, relative to the middle of their range.
 
-    They are those of `diagnostics.delay`; `symbol` is that of x, in TeX.
+    Args:
+        ax: axes in three dimensions.
+        series: x at equal times, (times,).
+        lag: N, in entries of the series.
+        symbol: the name of x on the axes, in TeX.
+
+    Raises:
+        ValueError: the series has no more than 2N entries, or more than one axis.
     """
+    lag, x = _checks.count("lag", lag, 1), np.asarray(series)
+    if x.ndim != 1 or len(x) <= 2 * lag:
+        raise ValueError(f"a delay plot of lag {lag} needs a series of more than {2 * lag} numbers, got {x.shape}")
+    points = np.stack([x[k * lag : len(x) - (2 - k) * lag] for k in range(3)], axis=1)
     middle = (points.max(axis=0) + points.min(axis=0)) / 2
     power = int(np.floor(np.log10(np.ptp(points) / 2 or 1.0)))
     power = power if abs(power) > 1 else 0

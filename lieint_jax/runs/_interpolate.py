@@ -59,17 +59,17 @@ def interpolate(system: System, trajectory: Trajectory, times: ArrayLike) -> Sta
     return found
 
 
-def interpolate_members(system: System, trajectory: Trajectory, times: ArrayLike, system_axis: int | None) -> State:
+def interpolate_members(system: System, trajectory: Trajectory, times: ArrayLike, own_step: bool) -> State:
     """The states of the members of a batch at the same times, (times, member, …).
 
     Args:
-        system: the system of the trajectory; with the member axis first if `system_axis` is 0.
+        system: the system of the trajectory; with the member axis first if `own_step`.
         trajectory: a trajectory with the axes (time, member, …).
         times: as in `interpolate`; since the start, if the members start at different times.
-        system_axis: None or 0.
+        own_step: whether each member has a system of its own.
     """
     pairs = _pairs(trajectory, times)
-    found, gaps = _of_any_number(partial(_of_members, system_axis), system, pairs)
+    found, gaps = _of_any_number(partial(_of_members, own_step), system, pairs)
     _refuse_gaps(gaps, pairs.time)
     return found
 
@@ -115,8 +115,8 @@ def _of_any_number(function: Callable[[System, _Pair], _T], system: System, pair
 
 
 @partial(compiled, static_argnums=0)
-def _of_members(system_axis: int | None, system: System, pairs: _Pair) -> tuple[State, Array]:
-    axes = system_axis, _Pair(1, None, None, None)  # pyright: ignore[reportArgumentType]
+def _of_members(own_step: bool, system: System, pairs: _Pair) -> tuple[State, Array]:
+    axes = 0 if own_step else None, _Pair(1, None, None, None)  # pyright: ignore[reportArgumentType]
     return jax.vmap(_between_saves, axes, 1)(system, pairs)
 
 

@@ -32,7 +32,7 @@ from lieint_jax.runs._split import Split
 from lieint_jax.runs._storage.leaves import shared_time
 from lieint_jax.runs._storage.storage import StoreOptions, Url, address
 from lieint_jax.runs._summary import SERIES, with_member_axis
-from lieint_jax.runs.members import member_axis
+from lieint_jax.runs.members import check_own_step
 
 _CHUNK_BYTES, _BUFFER_BYTES = 2**22, 2**28  # the most bytes in a chunk on disk, and in the buffer of all members' saves
 _CHUNK_WORK = 2e8  # the most body-steps between two writes, unless one save interval has more
@@ -472,7 +472,7 @@ def _checked_states(step: Step, states: State, made: range | None) -> tuple[Stat
 def _check_members(plan: Plan, first: int) -> None:
     """Raise ValueError unless all states are those of the step's system."""
     step, state = plan.member(0)
-    member_axis(plan.step.system, state, plan.members, 0 if plan.own_step else None, "own_step")
+    check_own_step(plan.step.system, state, plan.members, plan.own_step)
     defect = np.abs(np.asarray(_defects(plan.step.system.phase_space, plan.states)))
     bad = np.flatnonzero(defect > 2 * _checks.UNIT_TOLERANCE)  # |q|² − 1 is twice the error of |q|
     if bad.size:

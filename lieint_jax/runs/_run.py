@@ -43,6 +43,7 @@ from lieint_jax.runs._save import write
 from lieint_jax.runs._storage.leaves import Saves
 from lieint_jax.runs._storage.storage import StoreOptions, address
 from lieint_jax.runs._summary import MemberSummary, Summary, member_of, saves_of_batch
+from lieint_jax.runs.members import check_own_step
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -120,10 +121,12 @@ class Run(Generic[Saved, Reduced]):
             time_unit: the unit of t, such as "d".
 
         Raises:
-            ValueError: states of another shape than the step's system needs.
+            ValueError: states of another shape than the step's system needs; steps of all members without `own_step`.
         """
         first = promoted(checked_step(step), jax.tree.map(lambda x: x[0], trajectory.state))[1]
         batch = is_batch(step, first, own_step)
+        one = jax.tree.map(lambda x: x[0], first) if batch else first
+        check_own_step(step.system, one, len(trajectory.state.p[0]) if batch else None, own_step)
         good = jnp.asarray(trajectory.info.converged)
         failed = jnp.where(good.all(axis=0), -1, jnp.argmin(good, axis=0) - 1)
         text, steps = dates.text_of(epoch), len(trajectory.t) - 1
@@ -264,7 +267,7 @@ class Run(Generic[Saved, Reduced]):
             return interpolate(self.system, saved, times)
         if self.step.own_time:
             raise ValueError("each member has its own times: give run.member(k).at(times)")
-        return interpolate_members(self.system, saved, times, 0 if self.own_step else None)
+        return interpolate_members(self.system, saved, times, self.own_step)
 
     def energy(self) -> Array:
         """The energy H at each save, (times,) or (times, members); `energy_error` is its change less work."""
@@ -374,6 +377,9 @@ class Run(Generic[Saved, Reduced]):
     def periods(self) -> Periods:
         """The mean periods of precession and rotation of a tumbling body at each save: `body.periods`.
 
+        They are those of each state in closed form; `li.measure.tumbling_periods(run)` measures both along the motion,
+        about the axis of the body's mode.
+
         Raises:
             ValueError: the system has no periods.
         """
@@ -408,7 +414,7 @@ class Run(Generic[Saved, Reduced]):
             ImportError: xarray is not installed.
         """
         saved, dims = self._in_memory, ("time", "member")
-        found = labeled.dataset(saved, self.system, units or {}, 0 if self.own_step else None)
+        found = labeled.dataset(saved, self.system, units or {}, self.own_step)
         if self.epoch is None:
             return found
         when = dates_of(self.facts, self.epoch, saved)
@@ -425,7 +431,7 @@ class Run(Generic[Saved, Reduced]):
             ImportError: pandas is not installed.
         """
         saved = self._in_memory
-        found = labeled.frame(saved, self.system, 0 if self.own_step else None)
+        found = labeled.frame(saved, self.system, self.own_step)
         if self.epoch is not None:
             when, shape = dates_of(self.facts, self.epoch, saved), np.shape(saved.info.residual)
             found.insert(1, "date", np.broadcast_to(when.reshape(len(when), -1), (*shape, 1)[:2]).ravel())

@@ -15,7 +15,7 @@ from jax import Array
 from lieint_jax._numerics.arrays import PyTree
 from lieint_jax.core import Trajectory
 from lieint_jax.core import labels as laws_of
-from lieint_jax.runs.members import Axis, axes, map_over_run
+from lieint_jax.runs.members import axes
 
 _BODIES = {  # by the name and the number of components of each body
     ("q", 7): ("pose", ["x", "y", "z", "qw", "qx", "qy", "qz"]),
@@ -37,9 +37,9 @@ _TEXTS = {
 }
 
 
-def dataset(run: Trajectory, system: PyTree, units: Mapping[str, str], system_axis: Axis) -> Any:
+def dataset(run: Trajectory, system: PyTree, units: Mapping[str, str], own_step: bool) -> Any:
     """An `xarray.Dataset` of a trajectory; see `Run.to_xarray`."""
-    leading, arrays = axes(run), _arrays(run, system, system_axis)
+    leading, arrays = axes(run), _arrays(run, system, own_step)
     labels: dict[str, PyTree] = {"time": np.asarray(run.t)}
     variables: dict[str, PyTree] = {}
     for name, x in arrays.items():
@@ -58,22 +58,22 @@ def dataset(run: Trajectory, system: PyTree, units: Mapping[str, str], system_ax
     return found
 
 
-def _arrays(run: Trajectory, system: PyTree, system_axis: Axis) -> dict[str, Any]:
-    """The arrays along a run by name; with a system, also what it conserves."""
+def _arrays(run: Trajectory, system: PyTree, own_step: bool) -> dict[str, Any]:
+    """The arrays along a run by name, and the invariants of its system."""
     extra = {f"extra_{name}": x for name, x in (run.state.extra or {}).items()}
     leaves = {**run.state._asdict(), **extra, **run.info._asdict()}
     arrays = {name: x for name, x in leaves.items() if name != "extra" and x is not None}
-    return arrays if system is None else arrays | _invariants(run, system, system_axis)
+    return arrays | _invariants(run, system, own_step)
 
 
-def frame(run: Trajectory, system: PyTree, system_axis: Axis) -> Any:
+def frame(run: Trajectory, system: PyTree, own_step: bool) -> Any:
     """A `pandas.DataFrame` of a trajectory: a row for each time and member, a column for each component."""
     leading = axes(run)
     shape = (len(run.t), *np.shape(run.info.residual)[1:])
     columns: dict[str, np.ndarray] = {"time": np.broadcast_to(np.reshape(run.t, (-1, *[1] * (len(shape) - 1))), shape)}
     if len(shape) > 1:
         columns["member"] = np.broadcast_to(np.arange(shape[1]), shape)
-    for name, x in _arrays(run, system, system_axis).items():
+    for name, x in _arrays(run, system, own_step).items():
         dims, labels = state_axes(name, x.shape[len(leading) :], system)
         texts: list[Any] = [labels.get(dim, np.arange(n)) for dim, n in zip(dims, x.shape[len(leading) :], strict=True)]
         for where in np.ndindex(x.shape[len(leading) :]):
@@ -122,21 +122,21 @@ def _has_axes(system: PyTree) -> bool:
     return True
 
 
-def _invariants(run: Trajectory, system: PyTree, system_axis: Axis) -> dict[str, Array]:
+def _invariants(run: Trajectory, system: PyTree, own_step: bool) -> dict[str, Array]:
     """Energy, momentum map, and the angular velocity in the body, where the system has them."""
-    if not hasattr(system, "energy"):
-        raise ValueError(f"system must be that of the run, such as step.system, got a {type(system).__name__}")
     kind = type(system)
     functions = {"energy": kind.energy} if system.hamiltonian else {}
     functions["momentum_map"] = kind.momentum
     if hasattr(system, "angular_velocity"):
         functions["angular_velocity"] = kind.angular_velocity
 
-    def values(state: PyTree, function: Callable[[PyTree, PyTree], Array]) -> Array:
-        return map_over_run(function, system, run._replace(state=state), system_axis)
+    states, batch = jax.tree.map(jnp.asarray, run.state), len(axes(run)) > 1
 
-    states, along = jax.tree.map(jnp.asarray, run.state), jax.jit(values, static_argnums=1)
-    measured = {name: along(states, function) for name, function in functions.items()}
+    def along_run(function: Callable[[PyTree, PyTree], Array]) -> Array:
+        of_members = jax.vmap(function, (0 if own_step else None, 0)) if batch else function
+        return jax.jit(jax.vmap(of_members, (None, 0)))(system, states)
+
+    measured = {name: along_run(function) for name, function in functions.items()}
     return {name: x for name, x in measured.items() if x.size}
 
 

@@ -140,8 +140,8 @@ def inertia_in_time(
         >>> import lieint_jax as li
         >>> body = inertia_in_time(lambda t: jnp.stack([1.0 + t, 2.0 + t, 2.5 + 0 * t]))
         >>> state = body.state(angular_velocity=[0.2, 0.0, 1.0], work=0.0)
-        >>> run = li.integrate(li.schemes.so3_midpoint(body), state, 0.05, 20)
-        >>> bool((run.state.p == state.p).all()) and bool(abs(li.diagnostics.energy_error(body, run)).max() < 1e-5)
+        >>> run = li.run(li.schemes.so3_midpoint(body), state, 0.05, 20, progress=False)
+        >>> bool((run.state.p == state.p).all()) and bool(abs(run.energy_error()).max() < 1e-5)
         True
     """
     for name, function in (("inertia", inertia), ("rate", rate)):

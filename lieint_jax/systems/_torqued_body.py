@@ -132,8 +132,8 @@ def torqued_body(inertia: ArrayLike, torque: Any, frame: Literal["body", "space"
         >>> import lieint_jax as li
         >>> body = torqued_body([1.0, 2.0, 3.0], li.torques.viscous(0.1))
         >>> state = body.state(angular_velocity=[0.2, 0.0, 1.0], work=0.0)
-        >>> run = li.integrate(li.schemes.torqued_midpoint(body), state, 0.1, 100)
-        >>> bool(abs(li.diagnostics.energy_error(body, run)).max() < 1e-5)  # of H − work
+        >>> run = li.run(li.schemes.torqued_midpoint(body), state, 0.1, 100, progress=False)
+        >>> bool(abs(run.energy_error()).max() < 1e-5)  # of H − work
         True
     """
     made = TorquedBody(_checks.inertia(inertia), _law(torque, frame))

@@ -297,25 +297,16 @@ def test_verdicts_of_bodies_released_at_rest_are_those_of_any_units():
     assert "reversible to round-off" in back
 
 
-def test_delay_lists_values_at_equal_distances():
-    points = diagnostics.delay(jnp.arange(10.0), 3)
-    np.testing.assert_array_equal(points, [[k, k + 3, k + 6] for k in range(4)])
-    with pytest.raises(ValueError, match="more than 10 numbers"):
-        diagnostics.delay(jnp.arange(10.0), 5)
-
-
 @pytest.mark.long
 def test_series_start_at_zero_and_show_a_planted_error():
-    made = jax.jit(lambda z: li.integrate(li.schemes.so3_midpoint(BODY), z, 0.1, 20))(STATE)
+    step = li.schemes.so3_midpoint(BODY)
+    made = jax.jit(lambda z: li.integrate(step, z, 0.1, 20))(STATE)
     run = jax.tree.map(np.array, made)
     run.state.q[7] *= 1.001
     run.state.p[9, 1] += 1e-3
-    for series, at in (
-        (diagnostics.energy_error, 7),
-        (diagnostics.constraint_error, 7),
-        (diagnostics.momentum_error, 9),
-    ):
-        error = np.abs(jax.jit(series)(BODY, run)).reshape(21, -1).max(axis=1)
+    run = li.Run.of(step, run)
+    for series, at in ((run.energy_error, 7), (run.constraint_error, 7), (run.momentum_error, 9)):
+        error = np.abs(series()).reshape(21, -1).max(axis=1)
         assert error[0] < 4e-16
         assert error[at] > 1e-4
         assert error[at - 1] < 2e-15

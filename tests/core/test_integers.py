@@ -64,7 +64,6 @@ MADE = {
     "moments": (lambda n: li.shapes.box([3.0, 2.0, 1.0], mass=2.0).moments(n), 2),
     "ellipsoid_facets": (lambda n: li.shapes.ellipsoid_facets([1.0, 2.0, 3.0], rings=n).areas, 4),
     "wheel_pyramid": (lambda n: li.torques.wheel_pyramid(wheels=n), 4),
-    "delay": (lambda n: li.diagnostics.delay(T, n), 3),
     "random_geodesic": (lambda n: li.diagnostics.random_geodesic(li.groups.special_orthogonal(3), n)[1].p, 1),
 }
 INTEGERS = [np.int64, np.int32, np.uint8, np.array, jnp.array]

@@ -10,6 +10,7 @@ from cubes import CUBE, FACES
 
 import lieint_jax as li
 from lieint_jax.core import State, StepInfo, Trajectory
+from lieint_jax.runs import labeled
 
 pytestmark = pytest.mark.long
 
@@ -24,11 +25,12 @@ def run(*members):
     path = jax.vmap(jax.vmap(BODY.solution, (0, None)), (None, 0))(state, jnp.asarray(T))
     shape = path.p.shape[:2]
     both = Trajectory(jnp.asarray(T), path, StepInfo(jnp.zeros(shape), jnp.ones(shape, bool)))
-    return both if members else both._replace(**jax.tree.map(lambda x: x[:, 0], both._asdict() | {"t": T[:, None]}))
+    one = both._replace(**jax.tree.map(lambda x: x[:, 0], both._asdict() | {"t": T[:, None]}))
+    return li.Run.of(li.schemes.so3_midpoint(BODY), both if members else one)
 
 
 def test_a_run_becomes_a_dataset_with_coordinates():
-    found = run().to_xarray(BODY, units={"time": "d", "energy": "J"})
+    found = run().to_xarray(units={"time": "d", "energy": "J"})
     assert found.q.dims == ("time", "quaternion")
     np.testing.assert_array_equal(found.q.sel(quaternion="w"), run().state.q[:, 0])
     assert (found.time.attrs["units"], found.energy.attrs["units"]) == ("d", "J")
@@ -38,25 +40,27 @@ def test_a_run_becomes_a_dataset_with_coordinates():
     assert found.converged.all()
     with pytest.raises(ValueError, match=r"units of spin are given, but the variables are .*q"):
         run().to_xarray(units={"spin": "rad"})
-    with pytest.raises(ValueError, match=r"system must be that of the run, such as step\.system, got a SO3Midpoint"):
-        run().to_xarray(li.schemes.so3_midpoint(BODY))
     with pytest.raises(ValueError, match=r"units of t are given.*; did you mean time\?"):
         run().to_xarray(units={"t": "s"})
 
 
 def test_a_batch_as_a_dataset_has_members():
-    found = run("members").to_xarray(BODY)
+    found = run("members").to_xarray()
     assert dict(found.sizes) == {"time": 5, "member": 2, "quaternion": 4, "axis": 3, "momentum_map_component": 3}
     assert found.energy.dims == found.residual.dims == ("time", "member")
 
 
 def test_several_bodies_and_matrices_have_axes_of_their_own():
     flags = StepInfo(jnp.zeros(5), jnp.ones(5, bool))
-    two = Trajectory(T, State(jnp.ones((5, 2, 7)), jnp.zeros((5, 2, 6)), jnp.asarray(T)), flags).to_xarray()
+    pair = li.systems.rigid_bodies(np.ones(2), np.ones((2, 3)), li.potentials.point_masses(1.0, np.ones(2)))
+    poses = jnp.tile(jnp.array([[0.0, 0, 0, 1, 0, 0, 0], [2.0, 0, 0, 1, 0, 0, 0]]), (5, 1, 1))
+    states = State(poses, jnp.zeros((5, 2, 6)), jnp.asarray(T))
+    two = li.Run.of(li.schemes.splitting(pair), Trajectory(T, states, flags)).to_xarray()
     assert (two.q.dims, two.p.dims) == (("time", "body", "pose"), ("time", "body", "momenta"))
     assert two.t.dims == ("time",)
-    carried = State(jnp.ones((5, 3, 3)), jnp.zeros((5, 3, 3)), extra={"rotor": jnp.zeros((5, 3))})
-    elastic = Trajectory(T, carried, flags).to_xarray()
+    ball = li.systems.pseudo_rigid_body(np.ones(3), li.systems.mooney_rivlin(1.0, 1.0))
+    carried = State(jnp.tile(jnp.eye(3), (5, 1, 1)), jnp.zeros((5, 3, 3)), extra={"rotor": jnp.zeros((5, 3))})
+    elastic = li.Run.of(li.schemes.splitting(ball), Trajectory(T, carried, flags)).to_xarray()
     assert elastic.q.dims == ("time", "row", "column")
     assert elastic.extra_rotor.dims == ("time", "extra_rotor_component")
 
@@ -65,9 +69,9 @@ def test_several_bodies_and_matrices_have_axes_of_their_own():
 def test_states_on_matrix_groups_have_rows_and_columns_and_momenta_no_axes_but_for_rotations(name):
     """Those of SU(3), 6 by 6, were labeled as bodies, and momenta on SL(2) with x, y and z."""
     group = getattr(li.groups, name[:-3])(int(name[-2]))
-    states = State(jnp.ones((5, group.size, group.size)), jnp.ones((5, group.dim)))
-    flags = StepInfo(jnp.zeros(5), jnp.ones(5, bool))
-    found = Trajectory(T, states, flags).to_xarray(li.systems.euler(group, np.eye(group.dim)))
+    states = State(jnp.tile(jnp.eye(group.size), (5, 1, 1)), jnp.ones((5, group.dim)))
+    step = li.schemes.group_midpoint(li.systems.euler(group, np.eye(group.dim)))
+    found = li.Run.of(step, Trajectory(T, states, StepInfo(jnp.zeros(5), jnp.ones(5, bool)))).to_xarray()
     assert found.q.dims == ("time", "row", "column")
     assert found.p.dims == ("time", "axis" if name == "special_orthogonal(3)" else "p_component")
     assert set(found.coords) == {"time"} | ({"axis"} if name == "special_orthogonal(3)" else set())
@@ -82,10 +86,10 @@ def test_attitudes_become_rotations_and_euler_angles():
     np.testing.assert_allclose(np.cos(angles - ours), 1, rtol=0, atol=1e-13)
     flags = StepInfo(jnp.zeros(5), jnp.ones(5, bool))
     two = Trajectory(T, State(jnp.ones((5, 2, 7)), jnp.zeros((5, 2, 6))), flags)
-    assert two.rotations().as_matrix().shape == (5, 2, 3, 3)
+    assert labeled.rotations(two).as_matrix().shape == (5, 2, 3, 3)
     for shape, words in (((5, 3, 3), "need not be rotations"), ((5, 3), "attitudes are quaternions")):
         with pytest.raises(ValueError, match=words):
-            Trajectory(T, State(jnp.ones(shape), jnp.zeros((5, 3))), flags).rotations()
+            labeled.rotations(Trajectory(T, State(jnp.ones(shape), jnp.zeros((5, 3))), flags))
 
 
 def test_states_print_in_a_line(capsys):
@@ -95,10 +99,10 @@ def test_states_print_in_a_line(capsys):
     jax.jit(lambda z: print(z))(state._replace(extra=None))
     assert capsys.readouterr().out == "State(q=float64[4], p=float64[3])\n"
     assert repr(StepInfo(np.float64(0), np.bool_(False))) == "StepInfo(residual=0., converged=False)"
-    assert str(run("members")) == (
+    assert str(run("members").trajectory) == (
         "Trajectory(5 entries of 2 members, t = 0 … 3, all converged, State(q=float64[5, 2, 4], p=float64[5, 2, 3]))"
     )
-    assert "1 not converged" in str(run()._replace(info=StepInfo(np.zeros(5), np.arange(5) > 0)))
+    assert "1 not converged" in str(run().trajectory._replace(info=StepInfo(np.zeros(5), np.arange(5) > 0)))
 
 
 def test_laws_systems_and_steps_print_in_a_short_line():

@@ -63,7 +63,7 @@ def test_the_modified_energy_of_order_4_varies_as_the_fourth_power_of_dt(name):
     coarse, fine = (variation(step, state, dt, 4) for dt in sizes)
     assert np.log(coarse / fine) / np.log(4) == pytest.approx(4, abs=0.15)
     run = li.integrate(step, state, sizes[1], round(12 / sizes[1]))
-    plain = float(jnp.max(jnp.abs(diagnostics.energy_error(step.system, run))))
+    plain = float(jnp.max(jnp.abs(li.Run.of(step, run).energy_error())))
     assert fine < 0.05 * plain
 
 

@@ -432,7 +432,7 @@ CASES = {
     "normal_modes": modes,
     "certify": of(top, lambda step, state: str(D.certify(step, state, DT, 20))),
     "conditions": of(top, lambda step, state: str(D.conditions(step, state, DT))),
-    "energy_error": of(top, lambda step, state: D.energy_error(step.system, li.integrate(step, state, DT, 2))),
+    "Run.of": of(top, lambda step, state: li.Run.of(step, li.integrate(step, state, DT, 2)).energy_error()),
     "exponent_of_neighbors": of(driven, lambda step, state: D.exponent_of_neighbors(step, state, DT, 20)),
     "exponents_of_flow": of(driven, lambda step, state: D.exponents_of_flow(step.system, state, 0.1, 2)),
     "flow": of(driven, lambda step, state: D.flow(step.system, state, 0.1, 4).p),
@@ -475,10 +475,8 @@ def test_a_call_means_what_its_functions_mean_now(changes, tmp_path, name):
 
 ACCEPTING = {"step", "system", "condition", "loss", "residuals", "function", "f", "tau"}  # names of arguments
 OTHERS = {
-    "constraint_error": "reads states",
     "interpolate": "reads states",
     "jit": "as `jax.jit`",
-    "momentum_error": "as `energy_error`",
     "poisson_error": "rounding",
     "reversibility": "rounding",
     "round_trip_error": "rounding",

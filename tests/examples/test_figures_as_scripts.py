@@ -4,6 +4,7 @@ import functools
 
 import numpy as np
 import pytest
+from mpl_toolkits.mplot3d import Axes3D
 from scipy.integrate import solve_ivp
 
 import lieint_jax as li
@@ -161,13 +162,16 @@ def test_the_printed_initial_configuration_of_5a_gives_another_variation():
 
 
 def test_a_delay_figure_plots_every_panel_with_its_delay(tmp_path, monkeypatch):
-    """The points (x_n, x_{n+N}, x_{n+2N}) for the delay N of its panel."""
+    """The points (x_n, x_{n+N}, x_{n+2N}) for the delay N of its panel, less the middle of their range."""
     x, drawn = np.arange(50.0) ** 2, []
     monkeypatch.setattr(figures_3_to_5, "series", lambda panel: (x, True))
-    monkeypatch.setattr(li.plots, "delay_plot", lambda ax, points, symbol: drawn.append(points))
+    scatter = Axes3D.scatter
+    monkeypatch.setattr(Axes3D, "scatter", lambda ax, *points, **style: drawn.append(points) or scatter(ax, *points))
     figures_3_to_5.main(4, tmp_path / "mine.png")
     for points, N in zip(drawn, (3, 5, 3, 5), strict=True):
-        np.testing.assert_array_equal(points, np.stack([x[: 50 - 2 * N], x[N : 50 - N], x[2 * N :]], axis=1))
+        expected = np.array([x[: 50 - 2 * N], x[N : 50 - N], x[2 * N :]])
+        expected = expected - (expected.max(axis=1) + expected.min(axis=1))[:, None] / 2
+        np.testing.assert_allclose(np.array(points) * 1e3, expected, rtol=1e-15, atol=0)
 
 
 def test_a_delay_figure_is_written_with_its_table(tmp_path, capsys):

@@ -28,7 +28,7 @@ def test_the_periods_of_a_tumbling_body_are_those_in_closed_form():
         exact = closed_form(state)
         precession = 1 / (1 / exact.precession + (0 if long_axis else 1 / exact.rotation))
         for steps, rtol in ((744, 3e-6), (2964, 3e-6 / 4**4)):
-            found = measure.periods(go(step, state, float(exact.rotation) / 60, steps))
+            found = measure.tumbling_periods(go(step, state, float(exact.rotation) / 60, steps))
             assert bool(found.long_axis) == long_axis == bool(exact.long_axis)
             np.testing.assert_allclose([found.precession, found.rotation], [precession, exact.rotation], rtol=rtol)
 
@@ -47,13 +47,13 @@ def test_a_body_that_spins_about_an_axis_has_no_periods_of_tumbling():
     body = li.systems.rigid_body([1.0, 2.0, 3.0])
     rates = jnp.array([[0.0, 0.0, 1.0], [1.0, 0.0, 0.0], [1e-9, 0.0, 1.0]])
     run = go(li.schemes.exact(body), jax.vmap(lambda w: body.state(TILTED, angular_velocity=w))(rates), 0.2, 1000)
-    found = measure.periods(run)
+    found = measure.tumbling_periods(run)
     assert np.isnan([found.precession[:2], found.rotation[:2]]).all()
     np.testing.assert_allclose(found.rotation[2], 2 * np.pi, rtol=5e-3)  # Ω₃√((J₃−J₁)(J₃−J₂)/J₁J₂) = 1
 
 
 def test_periods_of_members_with_their_own_bodies_and_modes(tumblers):
-    found = measure.periods(tumblers)
+    found = measure.tumbling_periods(tumblers)
     expected = jax.jit(jax.vmap(lambda body, z: body.periods(z)))(
         tumblers.system, jax.tree.map(lambda x: x[0], tumblers.state)
     )
@@ -62,9 +62,9 @@ def test_periods_of_members_with_their_own_bodies_and_modes(tumblers):
     np.testing.assert_allclose(found.precession[0], expected.precession[0], rtol=5e-4)
     assert np.isnan([found.precession[2], found.rotation[2]]).all()
     for k in range(3):
-        np.testing.assert_allclose(measure.periods(tumblers.member(k)), [x[k] for x in found], rtol=1e-12)
+        np.testing.assert_allclose(measure.tumbling_periods(tumblers.member(k)), [x[k] for x in found], rtol=1e-12)
     start = jax.tree.map(lambda x: x[0], tumblers.state)
-    coarse = measure.periods(go(tumblers.step, start, 0.05, 6000, own_step=True, save_every=60))
+    coarse = measure.tumbling_periods(go(tumblers.step, start, 0.05, 6000, own_step=True, save_every=60))
     assert np.isnan([coarse.precession, coarse.rotation]).all()
     with pytest.raises(ValueError, match="nutation is that of a top"):
         measure.nutation(tumblers)
@@ -72,7 +72,7 @@ def test_periods_of_members_with_their_own_bodies_and_modes(tumblers):
 
 def test_a_run_on_disk_shows_the_same(tumblers, tmp_path):
     stored = tumblers.save(tmp_path / "tumblers.zarr")
-    for function in (measure.tilt, measure.rotation_rates, measure.periods, measure.pole):
+    for function in (measure.tilt, measure.rotation_rates, measure.tumbling_periods, measure.pole):
         np.testing.assert_array_equal(function(stored), function(tumblers))
 
 
@@ -170,7 +170,7 @@ def test_a_satellite_librates_about_the_vertical(tumblers):
     with pytest.raises(ValueError, match="the body must have an orbit"):
         measure.orbit_angles(tumblers)
     with pytest.raises(ValueError, match="periods are those of a free body"):
-        measure.periods(run)
+        measure.tumbling_periods(run)
 
 
 def test_the_orbit_s_axes_rotate_at_the_returned_rate():

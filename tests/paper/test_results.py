@@ -10,7 +10,7 @@ import pytest
 from paper import ONE, hat
 
 import lieint_jax as li
-from lieint_jax.diagnostics import constraint_error, energy_error, linearization, momentum_error
+from lieint_jax.diagnostics import linearization
 from lieint_jax.groups import so3
 from lieint_jax.maps import Kappa, kappa_cayley, kappa_exponential, kappa_symplectic
 
@@ -61,11 +61,12 @@ def _steps(J, q, Omega, dt, kappa):
     """Twenty steps from a state, for any κ: energies relative to theirs, ΛΠ over |π|, |q|² − 1."""
     body = li.systems.RigidBody(J)
     state = body.state(q, angular_velocity=Omega)
-    run = li.integrate(li.schemes.so3_midpoint(body, kappa), state, dt, 20)
-    energy = energy_error(body, run) / body.energy(state)
+    step = li.schemes.so3_midpoint(body, kappa)
+    run = li.Run.of(step, li.integrate(step, state, dt, 20))
+    energy = run.energy_error() / body.energy(state)
     Q, Pi = jax.vmap(so3.to_matrix)(run.state.q), jax.vmap(body.body_momentum)(run.state)
     carried = (jnp.einsum("nij,nj->ni", Q, Pi) - state.p) / jnp.linalg.norm(state.p)
-    return energy, momentum_error(body, run), constraint_error(body, run), run.info.converged, carried
+    return energy, run.momentum_error(), run.constraint_error(), run.info.converged, carried
 
 
 @pytest.mark.paper("2.2: (2.25)–(2.28), Result 3", "energy for any κ", "schemes/_so3_midpoint.py")

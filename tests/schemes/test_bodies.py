@@ -25,11 +25,11 @@ SPLITTING = schemes.splitting(BINARY)
 
 def errors(step, state, dt, num_steps, every):
     """The largest |ΔH| over the kinetic or the whole energy, |ΔP|/|p|, and |ΔL| over |L| or |x||p|, of a run."""
-    path = li.integrate(step, state, dt, num_steps, save_every=every)
+    path = li.Run.of(step, li.integrate(step, state, dt, num_steps, save_every=every))
     assert path.info.converged.all()
     system = step.system
-    H = jnp.abs(diagnostics.energy_error(system, path)).max() / max(system.kinetic_energy(state), system.energy(state))
-    moved = jnp.abs(diagnostics.momentum_error(system, path)).max(axis=0)
+    H = jnp.abs(path.energy_error()).max() / max(system.kinetic_energy(state), system.energy(state))
+    moved = jnp.abs(path.momentum_error()).max(axis=0)
     arm, p = (jnp.abs(x).max() for x in (path.state.q[..., :3], path.state.p))
     L = jnp.abs(system.momentum(state)[3:]).max()
     return float(H), float(moved[:3].max() / p), float(moved[3:].max() / jnp.maximum(L, arm * p))
@@ -121,9 +121,10 @@ def test_a_step_of_many_bodies_conserves_what_that_of_two_does():
     bodies, state = eight()
     step = schemes.splitting(bodies)
     run, fine = (li.integrate(step, state, 0.01 / k, 100 * k, save_every=100 * k) for k in (1, 2))
-    assert np.abs(diagnostics.momentum_error(bodies, run)).max() < 1e-15
+    run, fine = li.Run.of(step, run), li.Run.of(step, fine)
+    assert np.abs(run.momentum_error()).max() < 1e-15
     assert diagnostics.reversibility(step, state, 0.01) < 3e-15
-    H, less = (abs(float(diagnostics.energy_error(bodies, x)[-1])) for x in (run, fine))
+    H, less = (abs(float(x.energy_error()[-1])) for x in (run, fine))
     assert H / less == pytest.approx(4, abs=0.3)
 
 

@@ -50,7 +50,7 @@ def test_a_scheme_of_ones_own_is_one_file(tmp_path, monkeypatch):
     pendulum, state, dt = next(iter(_discover.modules_with("examples", li.systems)["pendulum"].examples().values()))
     step = li.schemes.sphere_verlet(pendulum)
     run = jax.jit(lambda z: li.integrate(step, z, dt, 100))(state)
-    assert float(abs(li.diagnostics.momentum_error(pendulum, run)).max()) < 1e-15  # observed: 0
+    assert float(abs(li.Run.of(step, run).momentum_error()).max()) < 1e-15  # observed: 0
     assert float(li.diagnostics.symplectic_defect(step, state, dt)) < 2e-15  # observed: 2.2e-16
     with pytest.raises(ValueError, match="sphere_verlet integrates pendulums"):
         li.schemes.sphere_verlet(li.systems.rigid_body([1.0, 2.0, 3.0]))
@@ -80,9 +80,9 @@ def test_every_quantity_declared_conserved_is_measured_conserved(scheme):
     found = examples(scheme)
     step, state, dt = next((x for x in found if x[0].system.momentum(x[1]).size), found[0])
     body, dt = step.system, 4 * dt if scheme == "extrapolate" else dt  # whose error is round-off at the example's dt
-    run = jax.jit(lambda z: li.integrate(step, z, dt, 100))(state)
-    energy = float(abs(li.diagnostics.energy_error(body, run)).max() / abs(body.energy(state)))
-    momentum = abs(li.diagnostics.momentum_error(body, run)).max()
+    run = li.Run.of(step, jax.jit(lambda z: li.integrate(step, z, dt, 100))(state))
+    energy = float(abs(run.energy_error()).max() / abs(body.energy(state)))
+    momentum = abs(run.momentum_error()).max()
     defect = float(li.diagnostics.symplectic_defect(step, state, dt))
     declared = ENTRIES[scheme].conserves
     assert (energy < 1e-13) == ("energy" in declared)

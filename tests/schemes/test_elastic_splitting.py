@@ -33,7 +33,7 @@ def test_it_is_the_central_difference_method_and_conserves_form_and_momentum():
     for n in (1, 500):
         second = (F[n + 1] - 2 * F[n] + F[n - 1]) @ E
         np.testing.assert_allclose(second, 0.05**2 * force(F[n]), rtol=0, atol=1e-14)
-    assert np.abs(diagnostics.momentum_error(SOFT, run)).max() < 1e-14
+    assert np.abs(li.Run.of(step, run).momentum_error()).max() < 1e-14
     assert jax.jit(diagnostics.symplectic_defect)(step, state, 0.05) < 1e-14
     ends = jax.tree.map(lambda x: x[-1], run.state)
     back = li.integrate(step, ends, -0.05, 1000).state
@@ -45,7 +45,7 @@ def test_its_energy_error_is_bounded_and_of_second_order():
     """3e-2 of the energy, and a quarter of that at half the step."""
     step, state = schemes.splitting(SOFT), SOFT.state(F0, momentum=P0)
     run, fine = (li.integrate(step, state, dt, round(50 / dt)) for dt in (0.05, 0.025))
-    errors = [float(np.abs(diagnostics.energy_error(SOFT, r)).max() / SOFT.energy(state)) for r in (run, fine)]
+    errors = [float(np.abs(li.Run.of(step, r).energy_error()).max() / SOFT.energy(state)) for r in (run, fine)]
     assert errors[0] / errors[1] == pytest.approx(4, rel=0.1)
     assert 1e-3 < errors[0] < 1e-1
 

@@ -30,10 +30,8 @@ def _body():
 @jax.jit
 def _measured(step, state, dt):
     """1000 steps, and their errors of energy, relative to it, and of the constraint."""
-    body = step.system
-    run = li.integrate(step, state, dt, 1000, save_every=10)
-    energy = li.diagnostics.energy_error(body, run) / body.energy(state)
-    return run, energy, li.diagnostics.constraint_error(body, run)
+    run = li.Run.of(step, li.integrate(step, state, dt, 1000, save_every=10))
+    return run.trajectory, run.energy_error() / step.system.energy(state), run.constraint_error()
 
 
 @pytest.mark.long

@@ -122,10 +122,10 @@ def test_derivatives_converge_where_the_sweeps_do():
 @pytest.mark.long
 def test_energy_and_momentum_over_a_long_run():
     """2000 steps of 0.1; observed 5e-15 and 0."""
-    path = li.integrate(STEP, STATE, 0.1, 2000, save_every=20)
+    path = li.Run.of(STEP, li.integrate(STEP, STATE, 0.1, 2000, save_every=20))
     assert path.info.converged.all()
-    assert float(jnp.abs(diagnostics.energy_error(TOP, path)).max()) < 3e-14
-    assert float(jnp.abs(diagnostics.momentum_error(TOP, path)).max()) < 1e-15
+    assert float(jnp.abs(path.energy_error()).max()) < 3e-14
+    assert float(jnp.abs(path.momentum_error()).max()) < 1e-15
 
 
 @pytest.mark.long

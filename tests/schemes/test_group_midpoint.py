@@ -15,7 +15,6 @@ from lieint_jax import _discover, groups, maps
 from lieint_jax.core import State
 from lieint_jax.core.tangent import value_and_jacobian
 from lieint_jax.diagnostics import (
-    energy_error,
     flow,
     group_conservation,
     order,
@@ -74,7 +73,7 @@ def measured(step, state, dt):
     Ad_q = jax.vmap(lambda q: jax.vmap(g.Ad, (None, 1), 1)(q, jnp.eye(g.dim)))(run.state.q[:2])
     after, _, form, back = there_and_back(step, state, dt)
     return {
-        "energy": energy_error(system, run) / system.energy(state),
+        "energy": li.Run.of(step, run).energy_error() / system.energy(state),
         "momentum": jnp.abs(run.state.p - state.p).max(),
         "converged": run.info.converged,
         "error": jnp.abs(after.q - flow(system, state, dt, 1).q).max(),
@@ -417,9 +416,10 @@ def test_hyperbolic_motion_is_flagged_before_digits_run_out():
     @jax.jit
     def measured(velocity):
         state = system.state(velocity=velocity)
-        run = li.integrate(group_midpoint(system), state, 0.1, 1000, save_every=10)
+        step = group_midpoint(system)
+        run = li.Run.of(step, li.integrate(step, state, 0.1, 1000, save_every=10))
         Ad_q = jax.vmap(lambda q: jax.vmap(g.Ad, (None, 1), 1)(q, jnp.eye(3)))(run.state.q)
-        return run.info.converged, jnp.abs(energy_error(system, run) / system.energy(state)), Ad_q
+        return run.info.converged, jnp.abs(run.energy_error() / system.energy(state)), Ad_q
 
     good, error, Ad_q = (np.asarray(x) for x in measured(jnp.array([0.3, 0.2, 0.6])))
     assert not good[-1]

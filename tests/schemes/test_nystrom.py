@@ -42,10 +42,10 @@ def test_the_coefficients_satisfy_every_order_condition_to_their_last_digit(sche
 @jax.jit
 def measured(step, state, dt):
     """The form after a step of 0.5; a step and back; H and momentum after 16 half steps."""
-    run = li.integrate(step, state, dt / 2, 16, save_every=16)
+    run = li.Run.of(step, li.integrate(step, state, dt / 2, 16, save_every=16))
     defect = diagnostics.symplectic_defect(step, state, 0.5)
-    balance = diagnostics.energy_error(step.system, run)[-1] / step.system.energy(state)
-    kept = diagnostics.momentum_error(step.system, run)
+    balance = run.energy_error()[-1] / step.system.energy(state)
+    kept = run.momentum_error()
     return defect, diagnostics.reversibility(step, state, dt), balance, kept
 
 

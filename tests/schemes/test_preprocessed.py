@@ -30,11 +30,11 @@ BODIES = {
 @jax.jit
 def measured(step, state):
     """What 500 steps of 0.4 keep; a step and back."""
-    run = li.integrate(step, state, 0.4, 500)
+    run = li.Run.of(step, li.integrate(step, state, 0.4, 500))
     return {
         "converged": run.info.converged,
-        "energy": diagnostics.energy_error(step.system, run) / step.system.energy(state),
-        "momentum": diagnostics.momentum_error(step.system, run),
+        "energy": run.energy_error() / step.system.energy(state),
+        "momentum": run.momentum_error(),
         "back": diagnostics.reversibility(step, state, 0.4),
     }
 

@@ -83,11 +83,10 @@ def test_laws_of_a_satellite_balance_to_round_off(seven):
 
 def test_works_are_named_by_their_laws(seven):
     body, (path, _) = seven
-    data = path.to_xarray(body)
+    data = li.Run.of(torqued_midpoint(body), path).to_xarray()
     assert data.extra_works.dims == ("time", "law")
     assert list(data.law.values) == list(LAWS)
     np.testing.assert_array_equal(data.extra_works.sel(law="aerodynamic"), path.state.extra["works"][:, 1])
-    assert path.to_xarray().extra_works.dims == ("time", "law")
     drag = lambda t, q, omega: -0.1 * omega  # noqa: E731
     named = torques.total([drag, torques.viscous(0.1), torques.viscous(0.2), torques.pd_trace(0.1, 0.1)])
     assert li.core.labels(torqued_body(INERTIA, named)) == ["function", "viscous", "viscous_2", "pd_trace"]

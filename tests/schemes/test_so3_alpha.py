@@ -27,9 +27,9 @@ def _steps(J, alpha, q, Omega, dt):
     """Twenty steps with κ = 1: the run, energies relative to theirs, and ΛΠ less π over |π|."""
     body = li.systems.EmbeddedBody(J)
     state = body.state(q, angular_velocity=Omega)
-    run = li.integrate(li.schemes.so3_alpha(body, alpha), state, dt, 20)
-    energy = li.diagnostics.energy_error(body, run) / body.energy(state)
-    return run, energy, li.diagnostics.momentum_error(body, run)
+    step = li.schemes.so3_alpha(body, alpha)
+    run = li.Run.of(step, li.integrate(step, state, dt, 20))
+    return run.trajectory, run.energy_error() / body.energy(state), run.momentum_error()
 
 
 @pytest.mark.long

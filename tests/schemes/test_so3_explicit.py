@@ -8,7 +8,6 @@ from free_bodies import moving, turned
 from linearized import there_and_back
 
 import lieint_jax as li
-from lieint_jax import diagnostics
 from lieint_jax.core.tangent import distance
 from lieint_jax.schemes import so3_explicit, so3_midpoint
 from lieint_jax.systems import RigidBody
@@ -29,8 +28,8 @@ def measured(body, state):
         return {
             "converged": one.info.converged,
             "apart": (one.state.q - other.state.q)[:201],
-            "energy": diagnostics.energy_error(body, one) / body.energy(state),
-            "momentum": diagnostics.momentum_error(body, one),
+            "energy": li.Run.of(explicit, one).energy_error() / body.energy(state),
+            "momentum": li.Run.of(explicit, one).momentum_error(),
         }
 
     _, _, form, back = there_and_back(explicit, state, 0.4)

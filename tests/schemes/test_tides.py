@@ -9,7 +9,7 @@ from scipy.integrate import solve_ivp
 from scipy.optimize import brentq
 
 import lieint_jax as li
-from lieint_jax import diagnostics, potentials, schemes, systems, tides
+from lieint_jax import potentials, schemes, systems, tides
 
 pytestmark = pytest.mark.long
 
@@ -36,10 +36,10 @@ def start(system):
 
 def balances(step, state, dt, num_steps):
     """The largest |Δ(H + lost)|, |ΔP|, |ΔL| of a run, and what each of its intervals loses."""
-    path = jax.jit(lambda z: li.integrate(step, z, dt, num_steps))(state)
+    path = li.Run.of(step, jax.jit(lambda z: li.integrate(step, z, dt, num_steps))(state))
     assert path.info.converged.all()
-    H = jnp.abs(diagnostics.energy_error(step.system, path)).max()
-    moved = jnp.abs(diagnostics.momentum_error(step.system, path)).max(axis=0)
+    H = jnp.abs(path.energy_error()).max()
+    moved = jnp.abs(path.momentum_error()).max(axis=0)
     return float(H), float(moved[:3].max()), float(moved[3:].max()), -np.diff(path.state.work)
 
 

@@ -66,8 +66,8 @@ def start(top, q=ATTITUDE, Omega=(0.4, 0.6, -0.5)):
 @functools.partial(jax.jit, static_argnums=(3, 4))
 def _run(step, state, dt, num_steps, save_every):
     trajectory = li.integrate(step, state, dt, num_steps, save_every=save_every)
-    errors = (diagnostics.energy_error, diagnostics.momentum_error, diagnostics.constraint_error)
-    return trajectory, step.system.energy(state), [error(step.system, trajectory) for error in errors]
+    run = li.Run.of(step, trajectory)
+    return trajectory, step.system.energy(state), [run.energy_error(), run.momentum_error(), run.constraint_error()]
 
 
 def run(step, state, dt, num_steps=1000, save_every=1):
@@ -141,7 +141,8 @@ def energy_errors():
     """Of 10⁵ steps of splitting, every fourth: 16 motions of the asymmetric top, Kovalevskaya's top, Lagrange's."""
 
     def errors(top, state, dt):
-        return diagnostics.energy_error(top, li.integrate(splitting(top), state, dt, 100_000, save_every=4))
+        step = splitting(top)
+        return li.Run.of(step, li.integrate(step, state, dt, 100_000, save_every=4)).energy_error()
 
     @jax.jit
     def all_of_them():

@@ -95,27 +95,28 @@ def test_energy_does_not_drift():
     state = top.state(so3.exp(jnp.array([2.5, 0.0, 0.0])), angular_velocity=[0.1, 0.3, 0.5])
     splitting = schemes.splitting(top)
 
-    def largest(run):
-        np.testing.assert_allclose(diagnostics.momentum_error(top, run), 0, rtol=0, atol=2e-12)
-        return np.abs(diagnostics.energy_error(top, run))[1:].reshape(10, 2000).max(1)
+    def largest(step, trajectory):
+        run = li.Run.of(step, trajectory)
+        np.testing.assert_allclose(run.momentum_error(), 0, rtol=0, atol=2e-12)
+        return np.abs(run.energy_error())[1:].reshape(10, 2000).max(1)
 
     for step, most in (
         (schemes.log_hamiltonian(top), 0.012),
         (schemes.reversible_control(splitting, jax.tree_util.Partial(near, 1.0)), 0.035),
     ):
         run = li.integrate(step, step.start(state), 0.04, 20_000)
-        errors = largest(run)
+        errors = largest(step, run)
         assert run.info.converged.all()
         assert errors.max() < most
         assert errors.max() < 1.01 * errors.min()
-    assert largest(li.integrate(splitting, state, 924 / 20_000, 20_000)).max() > 100
+    assert largest(splitting, li.integrate(splitting, state, 924 / 20_000, 20_000)).max() > 100
 
 
 def test_in_chaotic_motion_the_symplectic_variable_step_conserves_energy():
     """Observed 5e-2 near the charge, at V down to −20, where the energy of equal steps is lost after a few passages."""
     run = li.integrate(LOG, LOG.start(START), 0.04, 20_000)
     assert run.info.converged.all()
-    assert np.abs(diagnostics.energy_error(TOP, run)).max() < 0.1
+    assert np.abs(li.Run.of(LOG, run).energy_error()).max() < 0.1
 
 
 def test_in_close_encounters_step_control_needs_a_third_of_the_steps():
@@ -151,8 +152,8 @@ def test_the_energy_momentum_scheme_conserves_its_invariants_at_any_steps():
     np.testing.assert_array_equal(run.t, run.state.t)
     sizes = np.diff(run.t)
     assert sizes.max() > 2 * sizes.min() > 0
-    assert np.abs(diagnostics.energy_error(TOP, run)).max() < 1e-13
-    assert np.abs(diagnostics.momentum_error(TOP, run)).max() < 1e-13
+    assert np.abs(li.Run.of(step, run).energy_error()).max() < 1e-13
+    assert np.abs(li.Run.of(step, run).momentum_error()).max() < 1e-13
 
 
 @both

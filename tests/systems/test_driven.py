@@ -42,7 +42,7 @@ def run(step, state, dt, num_steps):
     path = li.integrate(step, state, dt, num_steps)
     system = step.system
     power = jax.vmap(lambda z: jnp.abs(system.power(z.q, z.t)))(path.state)
-    return path, diagnostics.energy_error(system, path), jnp.abs(jax.vmap(system.energy)(path.state)).max(), power.max()
+    return path, li.Run.of(step, path).energy_error(), jnp.abs(jax.vmap(system.energy)(path.state)).max(), power.max()
 
 
 flow = jax.jit(diagnostics.flow, static_argnums=3)

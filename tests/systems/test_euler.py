@@ -159,7 +159,7 @@ def four_dimensional_body():
     def run(state, dt):
         out = li.integrate(step, state, dt, 1000, save_every=10)
         Pi = jax.vmap(system.body_momentum)(out.state)
-        energy = li.diagnostics.energy_error(system, out) / system.energy(state)
+        energy = li.Run.of(step, out).energy_error() / system.energy(state)
         return out, Pi, jax.vmap(lambda x: EULER.manakov_integrals((1.0, 2.0, 3.5, 5.0), x))(Pi), energy
 
     return system, state, run

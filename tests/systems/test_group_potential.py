@@ -12,7 +12,7 @@ from scipy.linalg import expm
 import lieint_jax as li
 from lieint_jax import _discover, groups
 from lieint_jax.core import State
-from lieint_jax.diagnostics import energy_error, flow, symplectic_defect
+from lieint_jax.diagnostics import flow, symplectic_defect
 
 MATRIX = _discover.modules_with("examples", groups)["matrix"]
 QUICK = {"xla_llvm_disable_expensive_passes": True}
@@ -44,7 +44,7 @@ def measured(step, state, dt):
     after, _, form, back = there_and_back(step, state, dt)
     exact = flow(system, state, dt, 1)
     return {
-        "energy": energy_error(system, run),
+        "energy": li.Run.of(step, run).energy_error(),
         "converged": run.info.converged,
         "all": run.state.p - state.p,
         "momentum": jax.vmap(system.momentum)(run.state) - system.momentum(state),

@@ -46,11 +46,11 @@ ZERO = {"t": jnp.array(0.0), "work": jnp.array(0.0), "extra": {"rotor": jnp.zero
 @jax.jit
 def history(step, state, dt):
     """The errors of energy less work over |Ω||π|, of momentum and |q|, over 2000 steps, and whether all converged."""
-    run = li.integrate(step, state, dt, 2000, save_every=20)
+    run = li.Run.of(step, li.integrate(step, state, dt, 2000, save_every=20))
     unit = jnp.linalg.norm(step.system.angular_velocity(state)) * jnp.linalg.norm(state.p)
-    energy = li.diagnostics.energy_error(step.system, run) / unit
-    momentum = li.diagnostics.momentum_error(step.system, run)
-    length = li.diagnostics.constraint_error(step.system, run)
+    energy = run.energy_error() / unit
+    momentum = run.momentum_error()
+    length = run.constraint_error()
     return [jnp.max(jnp.abs(x)) for x in (energy, momentum, length)], run.info.converged.all()
 
 

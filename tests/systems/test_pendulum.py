@@ -11,7 +11,7 @@ from scipy.optimize import root
 
 import lieint_jax as li
 from lieint_jax.core import State
-from lieint_jax.diagnostics import constraint_error, energy_error, flow, momentum_error, symplectic_defect
+from lieint_jax.diagnostics import flow, symplectic_defect
 from lieint_jax.phase_spaces import SphericalChart
 
 pytestmark = pytest.mark.long
@@ -42,7 +42,8 @@ def start():
 @jax.jit
 def _run(step, state, dt):
     trajectory = li.integrate(step, state, dt, 1000)
-    return trajectory, [f(step.system, trajectory) for f in (energy_error, momentum_error, constraint_error)]
+    run = li.Run.of(step, trajectory)
+    return trajectory, [run.energy_error(), run.momentum_error(), run.constraint_error()]
 
 
 def run(step, state, dt=0.1):
@@ -129,8 +130,9 @@ def in_the_chart():
         tangents = jax.jacfwd(CHART.state)(z)
         slope = jax.vmap(lambda t: bob.phase_space.trivialize(state, t), in_axes=-1, out_axes=-1)(tangents)
         run = li.integrate(step, state, 0.1, 200)
+        known = li.Run.of(step, run)
         defect = li.diagnostics.symplectic_defect(step, state, 0.1)
-        return run, energy_error(bob, run), momentum_error(bob, run), defect, slope, CHART.coordinates(state)
+        return run, known.energy_error(), known.momentum_error(), defect, slope, CHART.coordinates(state)
 
     return jax.device_get(steps(jnp.array(Z)))
 

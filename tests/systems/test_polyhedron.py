@@ -11,7 +11,7 @@ import pytest
 from test_shapes import CUBE, FACES, sphere
 
 import lieint_jax as li
-from lieint_jax import diagnostics, potentials, shapes
+from lieint_jax import potentials, shapes
 from lieint_jax.groups import so3
 
 pytestmark = pytest.mark.long
@@ -281,12 +281,13 @@ def test_the_shape_of_a_small_body_counts_to_second_order():
 def conserved(scheme, steps, small=None, levels=1):
     """The largest errors of energy, P and L, relative to their sizes."""
     system, state = pair(levels, small)
-    run = li.integrate(getattr(li.schemes, scheme)(system), state, 0.01, steps, save_every=max(1, steps // 50))
+    step = getattr(li.schemes, scheme)(system)
+    run = li.Run.of(step, li.integrate(step, state, 0.01, steps, save_every=max(1, steps // 50)))
     assert run.info.converged.all()
     distances = jnp.linalg.norm(run.state.q[:, 1, :3] - run.state.q[:, 0, :3], axis=1)
     assert float(distances.min()) > 1.0
-    H = float(jnp.abs(diagnostics.energy_error(system, run)).max() / 1e-3)  # of a unit mass, φ is about 1
-    moved = jnp.abs(diagnostics.momentum_error(system, run)).max(axis=0)
+    H = float(jnp.abs(run.energy_error()).max() / 1e-3)  # of a unit mass, φ is about 1
+    moved = jnp.abs(run.momentum_error()).max(axis=0)
     p, L = float(jnp.abs(run.state.p[..., :3]).max()), float(jnp.abs(system.momentum(state)[3:]).max())
     return H, float(moved[:3].max()) / p, float(moved[3:].max()) / L
 

@@ -14,7 +14,7 @@ from scipy.optimize import brentq, minimize
 from scipy.special import elliprd, elliprf
 
 import lieint_jax as li
-from lieint_jax import diagnostics, potentials, schemes, systems
+from lieint_jax import potentials, schemes, systems
 from lieint_jax._numerics.elliptic import carlson_rf_rd
 from lieint_jax.groups import so3
 
@@ -216,11 +216,12 @@ def test_two_bodies_and_a_spring_conserve_the_momenta_that_an_outer_field_leaves
     both = HANGING[field] + potentials.springs([[0, 1]], [[[0.1, 0, 0], [0, 0.2, 0]]], 3.0, 1.0)
     bodies = systems.rigid_bodies([1.0, 2.0], [[0.3, 0.4, 0.5], [0.5, 0.6, 0.7]], both)
     state = bodies.state(PLACES[:2] / 2, velocities=PLACES[2:4] / 9, angular_velocities=PLACES[3:5] / 9)
-    path = li.integrate(getattr(schemes, scheme)(bodies), state, 0.02, 200, save_every=20)
-    moved = jnp.abs(diagnostics.momentum_error(bodies, path)).max()
+    step = getattr(schemes, scheme)(bodies)
+    path = li.Run.of(step, li.integrate(step, state, 0.02, 200, save_every=20))
+    moved = jnp.abs(path.momentum_error()).max()
     assert float(moved) < 1e-14 * float(jnp.abs(path.state.p).max())
     assert float(jnp.abs(bodies.momentum(state)).max()) > 0.1
-    H = jnp.abs(diagnostics.energy_error(bodies, path)).max()
+    H = jnp.abs(path.energy_error()).max()
     assert float(H) < (1e-3 if scheme == "splitting" else 1e-14)
 
 
@@ -274,10 +275,11 @@ def test_the_tip4p_dimer_has_the_published_energy():
 
 
 def water_errors(num_steps, every):
-    path = li.integrate(schemes.bodies_energy_momentum(DIMER), NEAR, 1e-3, num_steps, save_every=every)
+    step = schemes.bodies_energy_momentum(DIMER)
+    path = li.Run.of(step, li.integrate(step, NEAR, 1e-3, num_steps, save_every=every))
     assert path.info.converged.all()
-    H = jnp.abs(diagnostics.energy_error(DIMER, path)).max() / jax.vmap(DIMER.kinetic_energy)(path.state).min()
-    moved = jnp.abs(diagnostics.momentum_error(DIMER, path)).max(axis=0)
+    H = jnp.abs(path.energy_error()).max() / jax.vmap(DIMER.kinetic_energy)(path.state).min()
+    moved = jnp.abs(path.momentum_error()).max(axis=0)
     x, p, spin = path.state.q[..., :3], path.state.p[..., :3], path.state.p[..., 3:]
     arm = jnp.maximum(jnp.abs(jnp.cross(x, p)).max(), jnp.abs(spin).max())
     return SimpleNamespace(H=H, P=moved[:3].max() / jnp.abs(p).max(), L=moved[3:].max() / arm)

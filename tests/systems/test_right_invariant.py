@@ -96,10 +96,9 @@ def test_the_poisson_error_is_that_of_the_whole_form():
 def test_a_step_that_lost_the_digits_of_its_momentum_is_flagged():
     """On SL(2) Ad_q grows along a motion, and Π = Ad*_q π comes to be a small difference of large terms."""
     system, state = system_and_state("SL(2)")
-    run = jax.jit(li.integrate, static_argnames=("num_steps", "save_every"))(
-        li.schemes.group_midpoint(system), state, 0.1, 600, save_every=60
-    )
-    error = np.abs(li.diagnostics.momentum_error(system, run)).max(axis=1)
+    step = li.schemes.group_midpoint(system)
+    run = jax.jit(li.integrate, static_argnames=("num_steps", "save_every"))(step, state, 0.1, 600, save_every=60)
+    error = np.abs(li.Run.of(step, run).momentum_error()).max(axis=1)
     good = np.asarray(run.info.converged)
     assert good[:3].all()
     assert not good[-1]

@@ -130,8 +130,8 @@ def test_a_flow_of_order_twelve_conserves_it(name):
     system, state, dt = next(iter(EXAMPLES[name].values()))
     state = with_work(system, state)
     step = li.schemes.extrapolate(system)
-    run = jax.jit(lambda z: li.integrate(step, z, dt / 4, 20))(step.start(state))
+    run = li.Run.of(step, jax.jit(lambda z: li.integrate(step, z, dt / 4, 20))(step.start(state)))
     size = jnp.maximum(jnp.abs(system.energy(state)), 1)
-    assert jnp.max(jnp.abs(li.diagnostics.energy_error(system, run))) < 1e-11 * size
+    assert jnp.max(jnp.abs(run.energy_error())) < 1e-11 * size
     if any(x.startswith("momentum") for x in ENTRIES[name].conserves):
-        assert jnp.max(jnp.abs(li.diagnostics.momentum_error(system, run)), initial=0) < 1e-11 * size
+        assert jnp.max(jnp.abs(run.momentum_error()), initial=0) < 1e-11 * size
