@@ -2,7 +2,7 @@
 
 A PI controller (exponents 0.7/3 and 0.4/3) of the error that `diagnostics.local_error` estimates; steps above the
 tolerance are refused. Against constant steps, as many as the loop tried: the angle from the flow at the end, and where
-a top passes a charge, against `reversible_control` with steps as (−V)^−1.5. Then the share of idle lanes in one vmapped
+a top passes a charge, against `log_hamiltonian`. Then the share of idle lanes in one vmapped
 loop over 256 tops, which goes on until the last of them is done. The tables in RESULTS.md are a typical printout.
 
     python benchmarks/variable_steps.py
@@ -104,15 +104,14 @@ def main() -> None:
             tries = np.asarray(tried_by_each(step, many, end, tolerance))
             idle = 1 - tries.mean() / tries.max()
             print(f"| {name} | {tolerance:.0e} | {n} | {errors[0]:.1e} | {errors[1]:.1e} | {idle:.0%} |", flush=True)
-    reversible()
+    logarithmic()
 
 
-def reversible() -> None:
-    """Steps to t = 40 and the error there, of reversible control of the top that passes a charge."""
+def logarithmic() -> None:
+    """Steps to t = 40 and the error there, of the logarithmic Hamiltonian of the top that passes a charge."""
     top, state, end = TOPS["passing a charge"]
-    pace = jax.tree_util.Partial(lambda top, z: (-1 / top.potential_energy(z.q)) ** 1.5, top)
-    step = schemes.reversible_control(schemes.top_energy_momentum(top), pace)
-    print("\n| reversible control: dt | steps | error |\n|---|---|---|")
+    step = schemes.log_hamiltonian(top)
+    print("\n| logarithmic Hamiltonian: dt | steps | error |\n|---|---|---|")
     for dt in (0.1, 0.06, 0.045):
         run = li.integrate(step, step.start(state), dt, 1000)
         n = int(np.searchsorted(run.t, end))

@@ -25,7 +25,7 @@ def local_error(step: Step, state: State, dt: ArrayLike) -> Scalar:
     The estimate helps to choose dt. The package has no loop that adapts dt to it: such a loop loses the symplectic form
     and time symmetry, and gains little. With `top_energy_momentum`, which conserves energy and γ·π at any step size, a
     PI controller has 0.68 to 1.35 times the error of as many equal steps on three heavy tops, and 53 to 57 % of the
-    lanes of a vmapped loop are idle. For motions with rapid phases, `reversible_control` gains nearly as much
+    lanes of a vmapped loop are idle. For motions with rapid phases, `log_hamiltonian` gains nearly as much
     (`benchmarks/RESULTS.md`).
 
     Args:

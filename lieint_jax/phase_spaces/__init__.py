@@ -4,7 +4,7 @@ from lieint_jax.phase_spaces._embedded import EmbeddedRotations
 from lieint_jax.phase_spaces._groups import ConfigurationGroup, CotangentGroup
 from lieint_jax.phase_spaces._matrices import CotangentMatrices, CotangentUnimodular
 from lieint_jax.phase_spaces._motions import CotangentMotions
-from lieint_jax.phase_spaces._sphere import CotangentSphere, SphericalChart, frame
+from lieint_jax.phase_spaces._sphere import CotangentSphere, frame
 
 __all__ = [
     "ConfigurationGroup",
@@ -14,6 +14,5 @@ __all__ = [
     "CotangentSphere",
     "CotangentUnimodular",
     "EmbeddedRotations",
-    "SphericalChart",
     "frame",
 ]

@@ -1,4 +1,4 @@
-"""T*S², and a chart of it (Section 1)."""
+"""T*S² (Section 1)."""
 
 from __future__ import annotations
 
@@ -57,44 +57,6 @@ class CotangentSphere(ByEntries):
         size = vectors.max_abs(state.p)
         tilt = jnp.abs(vectors.dot(state.q, state.p)) / jnp.where(size > 0, size, 1)
         return jnp.maximum(jnp.abs(vectors.dot(state.q, state.q) - 1), tilt)
-
-
-@pytree
-class SphericalChart:
-    """Spherical coordinates z = (θ, φ, p_θ, p_φ) of T*S² about an axis γ: a Darboux chart, singular on the axis.
-
-    With e₁, e₂, γ orthonormal, q = cos θ γ + sin θ (cos φ e₁ + sin φ e₂) and π = p_θ q × ∂q/∂θ + p_φ q × ∂q/∂φ / sin²θ,
-    so that p_φ = γ·π. The form of T*S² is dθ∧dp_θ + dφ∧dp_φ: on (δθ, δφ, δp_θ, δp_φ) the constant matrix of (1.2).
-
-    Attributes:
-        axis: γ, a unit vector, shape (3,).
-    """
-
-    axis: Array
-
-    def state(self, z: PhaseVector) -> State:
-        """The state of coordinates z, shape (4,)."""
-        theta, phi, p_theta, p_phi = z
-        q, down, along = self._frame(theta, phi)
-        return State(q, p_theta * along - p_phi / jnp.sin(theta) * down)
-
-    def coordinates(self, state: State) -> PhaseVector:
-        """The coordinates of a state, shape (4,): θ in [0, π], φ in (−π, π]. On the axis φ is 0."""
-        e1, e2 = frame(self.axis)
-        x, y, h = (vectors.dot(e, state.q) for e in (e1, e2, self.axis))
-        polar = x * x + y * y == 0
-        x = jnp.where(polar, 1, x)  # harmless before the square root and the angle
-        theta = jnp.arctan2(jnp.where(polar, 0, jnp.sqrt(x * x + y * y)), h)
-        phi = jnp.arctan2(y, x)
-        along = self._frame(theta, phi)[2]
-        return jnp.stack([theta, phi, vectors.dot(state.p, along), vectors.dot(state.p, self.axis)])
-
-    def _frame(self, theta: Scalar, phi: Scalar) -> tuple[Array, Array, Array]:
-        """q, ∂q/∂θ, and the unit vector q × ∂q/∂θ along ∂q/∂φ."""
-        e1, e2 = frame(self.axis)
-        out, along = jnp.cos(phi) * e1 + jnp.sin(phi) * e2, jnp.cos(phi) * e2 - jnp.sin(phi) * e1
-        c, s = jnp.cos(theta), jnp.sin(theta)
-        return c * self.axis + s * out, c * out - s * self.axis, along
 
 
 def frame(q: Vector3) -> tuple[Vector3, Vector3]:

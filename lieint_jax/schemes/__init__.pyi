@@ -17,11 +17,9 @@ from lieint_jax.schemes._log_hamiltonian import *
 from lieint_jax.schemes._magnus import *
 from lieint_jax.schemes._nystrom import *
 from lieint_jax.schemes._preprocessed import *
-from lieint_jax.schemes._reversible_control import *
 from lieint_jax.schemes._so3_alpha import *
 from lieint_jax.schemes._so3_explicit import *
 from lieint_jax.schemes._so3_midpoint import *
-from lieint_jax.schemes._sphere_chart import *
 from lieint_jax.schemes._sphere_midpoint import *
 from lieint_jax.schemes._splitting import *
 from lieint_jax.schemes._top_energy_momentum import *

@@ -89,7 +89,7 @@ class LogHamiltonian(Step):
         if isinstance(system, AbstractDrivenSystem):
             raise ValueError(
                 f"log_hamiltonian needs a constant energy, got {type(system).__name__}, whose potential depends on "
-                "time; use reversible_control of a splitting"
+                "time; use splitting, with steps given by li.run(times=…)"
             )
         if not (isinstance(system, AbstractForcedSystem) and isinstance(system.free, AbstractFreeBody)):
             raise ValueError(

@@ -371,6 +371,6 @@ def test_check_in_several_processes_prints_in_order(capfd):
     assert cli.main(["check", "pendulum", "--steps", "20"]) == 0
     out = capfd.readouterr().out
     heads = re.findall(r"^(pendulum\.\w+)\n(\S+) ", out, re.M)
-    names = ("sphere_chart", "sphere_midpoint[plain]", "sphere_midpoint[normalized]")
+    names = ("sphere_midpoint[plain]", "sphere_midpoint[normalized]")
     assert heads == [(f"pendulum.{bob}", name) for name in names for bob in ("uniform", "quadratic")]
     assert os.environ.get("XLA_FLAGS") == before

@@ -8,7 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from internals import by_engine
-from small_steps import Rests
+from small_steps import Paced, Rests
 from stores import Crash, disk_for
 
 import lieint_jax as li
@@ -42,7 +42,7 @@ def tilted(Gamma, t):
 
 TOP = systems.driven_top(J, tilted, turning)
 SPLITTING, MIDPOINT = schemes.splitting(TOP), schemes.top_energy_momentum(TOP)
-CONTROLLED = schemes.reversible_control(SPLITTING, lambda state: 1 / (1 + state.p @ state.p))
+CONTROLLED = Paced(SPLITTING, lambda state: 1 / (1 + state.p @ state.p))
 WHEEL = systems.driven_gyrostat(J, lambda t: jnp.stack([0.1 * jnp.sin(t), 0.05 + 0 * t, 0.1 * t]))
 
 

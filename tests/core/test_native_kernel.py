@@ -15,7 +15,7 @@ from internals import by_engine, engine_on, limit_kernels, refusal, runs_by
 from jax import lax
 from kernels import Kernel
 from native_members import stacking
-from small_steps import Oscillators
+from small_steps import Oscillators, Paced
 
 import lieint_jax as li
 from lieint_jax import native
@@ -179,7 +179,7 @@ def turning_potential(Gamma, t):
 
 DRIVEN = li.systems.driven_top(J, turning_potential, lambda t: jnp.stack([jnp.cos(t), jnp.sin(t), 0.3 + 0 * t]))
 GRADED = 0.7 + np.linspace(0, 1, 24) ** 1.5
-OWN = li.schemes.reversible_control(li.schemes.splitting(DRIVEN), lambda state: 1 / (1 + state.p @ state.p))
+OWN = Paced(li.schemes.splitting(DRIVEN), lambda state: 1 / (1 + state.p @ state.p))
 RUNS = {
     "prepared steps, a shorter step to outputs": lambda: (
         (li.schemes.so3_explicit(BODY), states_of(BODY), 0.05, 30),

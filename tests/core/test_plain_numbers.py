@@ -308,7 +308,6 @@ CALLS = {
     "schemes.magnus": lambda: dict(system=systems.kinematics(groups.so3, lambda t: jnp.ones(3)), order=4.0),
     "schemes.nystrom": lambda: dict(system=top(), order=4.0),
     "schemes.so3_alpha": lambda: dict(system=systems.embedded_body(J), alpha=0.5),
-    "schemes.sphere_chart": lambda: dict(system=pendulum(), axis=V),
     "schemes.compose": lambda: dict(step=step(), order=4.0),
 }
 

@@ -340,7 +340,7 @@ def test_type_checkers_see_the_names_of_a_room(room):
 
 
 LARGE = ("euler.manakov", "group_potential.bottom_heavy", "rigid_bodies")  # steps that compile for long
-LONG = ("additive", "calibrated", "extrapolate", "gauss", "group_midpoint", "sphere_chart")  # schemes whose steps do
+LONG = ("additive", "calibrated", "extrapolate", "gauss", "group_midpoint")  # schemes whose steps do
 
 
 def dear(name):

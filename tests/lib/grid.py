@@ -56,11 +56,9 @@ def declares(scheme, name, invariant):
     """Whether the scheme declares it conserved; where that depends on the kind of step, the brackets name the kind."""
     step = name.partition("-")[2]
     base = re.search(r"\((\w+)", step)
-    declared = DECLARED[base[1] if scheme in ("compose", "reversible_control") and base[1] in DECLARED else scheme]
+    declared = DECLARED[base[1] if scheme == "compose" and base[1] in DECLARED else scheme]
     kind = step.rpartition("[")[2].rstrip("])")
     names = {text.split()[0]: text.partition("(")[2] for text in declared}
     if invariant not in names or ("free body" in names[invariant] and not name.startswith("rigid_body.")):
-        return False
-    if (scheme, invariant) == ("reversible_control", "form"):  # "what the step conserves, but not the form"
         return False
     return not names[invariant] or kind in re.findall(r"\w+", names[invariant])

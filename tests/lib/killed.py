@@ -13,6 +13,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from internals import commit_every
+from small_steps import Paced
 
 import lieint_jax as li
 
@@ -63,7 +64,7 @@ def bodies(steps):
 def own_time(steps):
     """Tops whose steps adapt, each with its own time; they have no outputs at given times."""
     step, states = tops()
-    controlled = li.schemes.reversible_control(step, slowness)
+    controlled = Paced(step, slowness)
     own = states._replace(t=jnp.full(MEMBERS, 0.7), work=jnp.zeros(MEMBERS))
     return controlled, jax.vmap(controlled.start)(own), {"dt": 0.05, "num_steps": steps, "save_every": 20}
 

@@ -1,12 +1,13 @@
 """Steps and a system of few operations, which compile in a moment: for tests of what is built around a step."""
 
+from collections.abc import Callable
 from typing import Any
 
 import jax.numpy as jnp
 import numpy as np
 from jax import Array
 
-from lieint_jax.core import State, Step, StepInfo, System, pytree
+from lieint_jax.core import State, Step, StepInfo, System, pytree, static
 from lieint_jax.phase_spaces import CotangentMatrices
 
 
@@ -23,6 +24,30 @@ class Rests(Step):
 
     def advance_tangents(self, state, dt, T):
         return state, StepInfo.empty(state.p), T
+
+
+@pytree
+class Paced(Step):
+    """A step of size dt·σ(state) by another scheme, which advances the time itself: of order 1, not symmetric."""
+
+    step: Step
+    pace: Callable[[State], Array] = static()
+
+    order, symmetric, own_time = 1, False, True
+
+    @property
+    def system(self):
+        return self.step.system
+
+    @property
+    def name(self):
+        return f"paced({self.step.name})"
+
+    def start(self, state):
+        return state if state.t is not None else state._replace(t=jnp.zeros((), state.p.dtype))
+
+    def advance(self, state, dt):
+        return self.step.substep(state, dt * self.pace(state))
 
 
 @pytree

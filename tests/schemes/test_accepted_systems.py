@@ -22,7 +22,7 @@ ARGUMENTS = {"nystrom": {"order": 4}, "preprocessed": {"order": 4}, "langevin": 
 SCHEMES = {
     entry: functools.partial(getattr(schemes, entry.name), **ARGUMENTS.get(entry.name, {}))
     for entry in schemes.catalogue()
-    if entry.name not in ("compose", "reversible_control", "extrapolate")  # two accept steps, one every system
+    if entry.name not in ("compose", "extrapolate")  # one accepts steps, one every system
 }
 KINDS = {type(system).__name__: system for _, (system, *_) in reversed(systems())}
 # the beginnings of messages, and the schemes that they name; those of systems that are not here are found
@@ -105,7 +105,7 @@ def test_every_scheme_refuses_every_other_system_and_names_those_that_accept_it(
         end = f"; use {few}" if few else OTHERWISE.get(entry.name, "")
         message = f"^{entry.name} integrates {INTEGRATES.get(entry.name, '')}.*, got {kind}{re.escape(end)}$"
         if entry.name == "log_hamiltonian" and kind in ("DrivenTop", "GravityGradient", "DrivenGroupPotential"):
-            message = f"needs a constant energy, got {kind}, whose potential depends on time; use reversible_control"
+            message = f"needs a constant energy, got {kind}, whose potential depends on time"
         with pytest.raises(ValueError, match=message):
             make(system)
 

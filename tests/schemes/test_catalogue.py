@@ -63,7 +63,7 @@ def examples(scheme):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("scheme", sorted(set(MODULES) - {"compose", "reversible_control", "exact", "preprocessed"}))
+@pytest.mark.parametrize("scheme", sorted(set(MODULES) - {"compose", "exact", "preprocessed"}))
 def test_the_declared_symmetry_is_that_of_the_default_step(scheme):
     found = examples(scheme)
     assert found

@@ -123,7 +123,6 @@ UNDEFINED = {
     "splitting": schemes.splitting,
     "nystrom": lambda top: schemes.nystrom(top, 6),
     "compose": lambda top: schemes.compose(schemes.splitting(top), 4),
-    "reversible_control": lambda top: schemes.reversible_control(schemes.splitting(top), lambda state: 1 + state.q[0]),
     "top_energy_momentum": schemes.top_energy_momentum,
     "gauss": schemes.gauss,
     "extrapolate": schemes.extrapolate,

@@ -1,4 +1,4 @@
-"""Steps that vary and keep structure: the logarithmic Hamiltonian, reversible control, and the local error."""
+"""Steps that vary and keep the form: the logarithmic Hamiltonian; and the local error of a step."""
 
 import functools
 
@@ -9,7 +9,7 @@ import pytest
 from equations import euler, in_body
 from repeated import once
 from scipy.integrate import solve_ivp
-from small_steps import Rests
+from small_steps import Paced, Rests
 
 import lieint_jax as li
 from lieint_jax import diagnostics, schemes, systems
@@ -25,19 +25,11 @@ def coulomb(Gamma):
     return -1 / jnp.sqrt(1 + Gamma @ Gamma - 2 * Gamma[2])
 
 
-def near(power, state):
-    """A step size in proportion to a power of the distance of the charges."""
-    return (-1 / TOP.potential_energy(state.q)) ** power
-
-
 TOP = systems.potential_top(J, coulomb, [0.0, 0.0, NEAR])
 START = TOP.state(so3.exp(jnp.array([2.5, 0.0, 0.0])), angular_velocity=[0.1, 0.05, 0.1])  # far away, at V = −0.51
 H = float(TOP.energy(START))
 SPLITTING = schemes.splitting(TOP)
 LOG = schemes.log_hamiltonian(TOP, H)
-CONTROLLED = schemes.reversible_control(SPLITTING, jax.tree_util.Partial(near, 1.0))
-BOTH = {"log_hamiltonian": (LOG, 0.04), "reversible_control": (CONTROLLED, 0.04)}
-both = pytest.mark.parametrize(("step", "dt"), BOTH.values(), ids=BOTH)
 composed = functools.cache(lambda step: schemes.compose(step, 4))
 
 
@@ -80,17 +72,8 @@ def test_the_logarithmic_hamiltonian_has_its_clock_and_kick():
     np.testing.assert_allclose(end.p - start.p, kick, rtol=0, atol=1e-16)
 
 
-@pytest.mark.quick
-def test_the_density_is_kicked_by_half_of_dt_before_and_after_the_step():
-    """For σ = eᵗ, G = −1 at every state, and the base step is dt over the density between the kicks."""
-    step = schemes.reversible_control(Rests(systems.rigid_body(J)), lambda z: jnp.exp(z.t))
-    end, _ = once(step, START._replace(t=jnp.array(0.2), extra={"rho": jnp.array(0.9)}), 0.1)
-    assert float(end.extra["rho"]) == pytest.approx(0.8, rel=1e-15, abs=0)
-    assert float(end.t) == pytest.approx(0.2 + 0.1 / 0.85, rel=1e-15, abs=0)
-
-
 def test_energy_does_not_drift():
-    """Over 400 passages of a symmetric top: 0.011 and 0.034 at most in every tenth of the run, 1e4 with equal steps."""
+    """Over 400 passages of a symmetric top: 0.011 at most in every tenth of the run, 1e4 with equal steps."""
     top = systems.potential_top([1.0, 1.0, 0.5], coulomb, [0.0, 0.0, NEAR])
     state = top.state(so3.exp(jnp.array([2.5, 0.0, 0.0])), angular_velocity=[0.1, 0.3, 0.5])
     splitting = schemes.splitting(top)
@@ -99,15 +82,12 @@ def test_energy_does_not_drift():
         np.testing.assert_allclose(diagnostics.momentum_error(top, run), 0, rtol=0, atol=2e-12)
         return np.abs(diagnostics.energy_error(top, run))[1:].reshape(10, 2000).max(1)
 
-    for step, most in (
-        (schemes.log_hamiltonian(top), 0.012),
-        (schemes.reversible_control(splitting, jax.tree_util.Partial(near, 1.0)), 0.035),
-    ):
-        run = li.integrate(step, step.start(state), 0.04, 20_000)
-        errors = largest(run)
-        assert run.info.converged.all()
-        assert errors.max() < most
-        assert errors.max() < 1.01 * errors.min()
+    step = schemes.log_hamiltonian(top)
+    run = li.integrate(step, step.start(state), 0.04, 20_000)
+    errors = largest(run)
+    assert run.info.converged.all()
+    assert errors.max() < 0.012
+    assert errors.max() < 1.01 * errors.min()
     assert largest(li.integrate(splitting, state, 924 / 20_000, 20_000)).max() > 100
 
 
@@ -118,46 +98,17 @@ def test_in_chaotic_motion_the_symplectic_variable_step_conserves_energy():
     assert np.abs(diagnostics.energy_error(TOP, run)).max() < 0.1
 
 
-def test_in_close_encounters_step_control_needs_a_third_of_the_steps():
-    """To the same error at t = 40: observed 3.5 times fewer, 2.9 with steps in proportion to the distance."""
-    step = schemes.reversible_control(SPLITTING, jax.tree_util.Partial(near, 1.5))
-    run = li.integrate(step, step.start(START), 0.02, 1800)
-    n = int(np.searchsorted(run.t, 40.0))
-    exact = dop853([float(run.t[n])])[-1]
-    constant = li.integrate(SPLITTING, START, run.t[n] / (3 * n), 3 * n, save_every=3 * n)
-    ours, theirs = (np.abs(q - exact).max() for q in (run.state.q[n], constant.state.q[-1]))
-    assert ours < theirs
-    assert run.info.converged.all()
-
-
 def test_the_times_of_a_run_are_those_of_its_states():
-    run = li.integrate(CONTROLLED, CONTROLLED.start(START), 0.1, 60)
+    run = li.integrate(LOG, LOG.start(START), 0.1, 60)
     np.testing.assert_array_equal(run.t, run.state.t)
     sizes = np.diff(run.t)
     assert sizes.max() > 1.5 * sizes.min() > 0
     assert run.info.converged.all()
 
 
-def test_a_certificate_shows_that_varying_steps_break_the_form():
-    found = diagnostics.certify(CONTROLLED, CONTROLLED.start(START), 0.04, 100)
-    assert found.order == pytest.approx(2, abs=0.1)
-    assert found.reversibility < 1e-15
-    assert "broken as dt^2.0" in str(found)
-
-
-def test_the_energy_momentum_scheme_conserves_its_invariants_at_any_steps():
-    step = schemes.reversible_control(schemes.top_energy_momentum(TOP), jax.tree_util.Partial(near, 1.0))
-    run = li.integrate(step, step.start(START), 0.1, 100)
-    np.testing.assert_array_equal(run.t, run.state.t)
-    sizes = np.diff(run.t)
-    assert sizes.max() > 2 * sizes.min() > 0
-    assert np.abs(diagnostics.energy_error(TOP, run)).max() < 1e-13
-    assert np.abs(diagnostics.momentum_error(TOP, run)).max() < 1e-13
-
-
-@both
-def test_members_of_an_ensemble_have_times_of_their_own(step, dt, tmp_path):
+def test_members_of_an_ensemble_have_times_of_their_own(tmp_path):
     """The same as one by one, in memory and in a store."""
+    step, dt = LOG, 0.04
     states = jax.vmap(lambda t: step.start(START._replace(t=t)))(jnp.array([0.0, 0.05, 0.1]))
     run = li.run(step, states, dt, 20, save_every=10, progress=False)
     np.testing.assert_allclose(run.t, dt * np.array([0, 10, 20]), rtol=1e-15)
@@ -172,9 +123,9 @@ def test_members_of_an_ensemble_have_times_of_their_own(step, dt, tmp_path):
     np.testing.assert_array_equal(summary.state.t, run.state.t[-1])
 
 
-@both
-def test_the_state_at_a_given_time_is_an_event(step, dt):
+def test_the_state_at_a_given_time_is_an_event():
     """Of the order of the scheme, and its time is that asked for."""
+    step, dt = LOG, 0.04
     at = [li.event(step, step.start(START), dt / k, lambda z: z.t - 5.0, max_steps=200 * k) for k in (1, 2)]
     exact = dop853([5.0])[0]
     assert all(e.found for e in at)
@@ -231,13 +182,11 @@ def test_the_local_error_of_an_exact_step_is_of_fifth_order_and_dt_is_that_of_ti
     state = body.state(angular_velocity=[0.3, 0.5, -0.4])
     off = [jnp.linalg.norm(diagnostics.local_error(schemes.exact(body), state, dt)) for dt in (0.4, 0.2)]
     assert np.log2(off[0] / off[1]) == pytest.approx(5, abs=0.3)
-    started = CONTROLLED.start(START)
-    h = CONTROLLED(started, 0.1)[0].t
+    paced = Paced(SPLITTING, lambda state: 1 / (1 + state.p @ state.p))
+    started = paced.start(START)
+    h = paced(started, 0.1)[0].t
     np.testing.assert_allclose(
-        diagnostics.local_error(CONTROLLED, started, 0.1),
-        diagnostics.local_error(SPLITTING, START, h),
-        rtol=0,
-        atol=1e-15,
+        diagnostics.local_error(paced, started, 0.1), diagnostics.local_error(SPLITTING, START, h), rtol=0, atol=1e-15
     )
     with pytest.raises(ValueError, match="steps on groups"):
         diagnostics.local_error(schemes.sphere_midpoint(systems.pendulum(1.0, 1.0)), None, 0.1)
@@ -259,11 +208,7 @@ def test_a_state_outside_of_the_domain_is_flagged_in_a_compiled_loop():
         (schemes.log_hamiltonian(TOP, H + 0.1), START._replace(t=0.0)),
         (schemes.log_hamiltonian(TOP, -H), START._replace(t=0.0)),
     ]
-    step = schemes.reversible_control(SPLITTING, lambda z: -1 - z.p[0] ** 2)
-    cases += [(step, START._replace(t=0.0, extra={"rho": -1.0}))]
-    step = schemes.reversible_control(SPLITTING, jax.tree_util.Partial(near, 1.5))
-    cases += [(step, step.start(START))]
-    for (step, state), dt in zip(cases, (0.1, 0.1, 0.1, 0.1, 4.0), strict=True):
-        converged, finite = ended(step, state, dt)
+    for step, state in cases:
+        converged, finite = ended(step, state, 0.1)
         assert not converged.all()
         assert finite

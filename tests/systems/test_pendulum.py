@@ -8,11 +8,11 @@ import numpy as np
 import pytest
 from repeated import state_after
 from scipy.optimize import root
+from sphere_chart import SphericalChart, sphere_chart
 
 import lieint_jax as li
 from lieint_jax.core import State
 from lieint_jax.diagnostics import constraint_error, energy_error, flow, momentum_error, symplectic_defect
-from lieint_jax.phase_spaces import SphericalChart
 
 pytestmark = pytest.mark.long
 
@@ -121,7 +121,7 @@ Z = np.array([1.0, 0.3, 0.4, 0.8])
 def in_the_chart():
     """200 steps: the run, the errors of energy and momentum, the defect of the form, and the chart's derivative."""
     bob = BOBS["linear"]
-    step = li.schemes.sphere_chart(bob, AXIS)
+    step = sphere_chart(bob, AXIS)
 
     @jax.jit
     def steps(z):
@@ -144,7 +144,7 @@ def test_the_spherical_chart_is_one_of_darboux():
     assert CHART.state(jnp.array(Z)).p @ AXIS == pytest.approx(Z[3], abs=1e-15)
 
 
-@pytest.mark.paper("1.1: claim 4", "spherical coordinates: form and momentum", "schemes/_sphere_chart.py")
+@pytest.mark.paper("1.1: claim 4", "spherical coordinates: form and momentum", "tests/lib/sphere_chart.py")
 def test_claim_4_in_spherical_coordinates_the_midpoint_rule_is_symplectic_and_conserves_momentum():
     """The form of T*S² itself, by autodiff of the step on the sphere; γ·π; and the constraints."""
     trajectory, _, momentum, defect, *_ = in_the_chart()
@@ -172,7 +172,7 @@ def test_claim_4_second_order_and_reversible_about_any_axis():
     """Also about another axis than γ, where p_φ is not conserved: still symplectic."""
     bob, state = BOBS["linear"], CHART.state(jnp.array(Z))
     other = np.array([0.6, 0.0, 0.8])
-    found = li.diagnostics.certify(li.schemes.sphere_chart(bob, other), state, 0.05, 20)
+    found = li.diagnostics.certify(sphere_chart(bob, other), state, 0.05, 20)
     assert found.order == pytest.approx(2, abs=0.05)
     assert found.symplectic_defect < 8e-15
     assert found.reversibility < 4e-15
@@ -184,7 +184,7 @@ def test_claim_4_second_order_and_reversible_about_any_axis():
 def test_the_step_in_the_chart_follows_the_vector_field():
     """By the central difference of two steps."""
     bob, h = BOBS["cubic"], 1e-3
-    step = jax.jit(lambda state, dt: li.schemes.sphere_chart(bob, AXIS)(state, dt)[0])
+    step = jax.jit(lambda state, dt: sphere_chart(bob, AXIS)(state, dt)[0])
     ahead, behind = (step(start(), dt) for dt in (h, -h))
     field = bob.vector_field(start())
     for a, b, rate in zip(ahead[:2], behind[:2], field[:2], strict=True):
@@ -194,7 +194,7 @@ def test_the_step_in_the_chart_follows_the_vector_field():
 def test_claim_5_at_the_pole_the_step_in_the_chart_is_flagged():
     """Elsewhere it is not, be it at rest; a NaN never comes without the flag."""
     bob = BOBS["linear"]
-    step = jax.jit(li.schemes.sphere_chart(bob, AXIS))
+    step = jax.jit(sphere_chart(bob, AXIS))
     assert step(State(jnp.array(Q), jnp.zeros(3)), 0.1)[1].converged
     for z in ([1e-7, 0.3, 0.1, 0.0], [np.pi - 1e-7, 0.3, 0.1, 0.0], [0.02, 0.0, -1.0, 0.0], [1e-3, 0.0, 1.0, 1e-3]):
         after, info = step(CHART.state(jnp.array(z)), 0.1)
@@ -203,10 +203,10 @@ def test_claim_5_at_the_pole_the_step_in_the_chart_is_flagged():
     assert not info.converged
     assert np.isfinite(after.q).all()
     with pytest.raises(ValueError, match=r"the chart is singular.*or sphere_midpoint"):
-        li.schemes.sphere_chart(bob, AXIS).check(State(jnp.array(AXIS), jnp.zeros(3)), 0.1)
+        sphere_chart(bob, AXIS).check(State(jnp.array(AXIS), jnp.zeros(3)), 0.1)
 
 
-@pytest.mark.paper("1.1: claim 5", "spherical coordinates: energy, the pole", "schemes/_sphere_chart.py")
+@pytest.mark.paper("1.1: claim 5", "spherical coordinates: energy, the pole", "tests/lib/sphere_chart.py")
 def test_claim_5_the_chart_is_singular_at_the_pole_and_the_sphere_is_not():
     """A swing through the axis: in the chart the momentum's term blows up, on T*S² nothing happens."""
     near = np.array([1e-3, 0.0, 1.0, 1e-3])
@@ -219,7 +219,7 @@ def test_claim_5_the_chart_is_singular_at_the_pole_and_the_sphere_is_not():
     assert constraint < 2e-12
 
 
-@pytest.mark.parametrize("make", [li.schemes.sphere_midpoint, li.schemes.sphere_chart])
+@pytest.mark.parametrize("make", [li.schemes.sphere_midpoint, sphere_chart])
 def test_single_precision_in_any_unit_of_mass(make):
     """The squares of these momenta leave the range of float32: flags and motion are those of m = 1."""
 
