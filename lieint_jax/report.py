@@ -155,6 +155,7 @@ def text(
 ) -> str:
     """The report of a run: its size, what it conserved, what was measured, remarks, and whether its steps converged.
 
+    The table has the value of the nominal member, and under "± std" the standard deviation of all members.
     Where a published value has an error, a line marked "!" says that the nominal member differs by more than three
     errors, or that the members scatter by more than one.
 
@@ -265,7 +266,7 @@ def _table(rows: Sequence[Row], width: int) -> list[str]:
     ten_digits = any(x.closed_form is not None for x in rows)
     exact = any(x.closed_form is not None and np.isfinite(x.closed_form) for x in rows)
     column = 17 if ten_digits else 11
-    heads = f"{'nominal':>{column}}{'± ensemble':>12}" + (f"{'closed form':>17}{'difference':>12}" if exact else "")
+    heads = f"{'nominal':>{column}}{'± std':>12}" + (f"{'closed form':>17}{'difference':>12}" if exact else "")
     lines = [f"\n  {'':<{width}}{heads}" + ("   published" if any(x.citations for x in rows) else "")]
     for x in rows:
         digits, fewer = (x.digits, x.digits) if x.closed_form is None else (".10f", ".5f")

@@ -37,7 +37,7 @@ prints it, and [The command line](reference/command_line.md#a-script-of-your-own
 copy. The pictures were drawn when this site was built, many with fewer members and steps than by default.
 """
 SIZES = {  # options of scripts that need longer without them
-    "apophis": "--members 400 --phases 12 --no-certificate",
+    "apophis": "--members 400 --phases 12",
     "cubesat": "--members 8",
     "didymos": "--members 20 --no-certificate",
     "driven": "--members 20 --steps 4000 --no-certificate",

@@ -55,11 +55,11 @@ def test_the_spread_is_the_standard_deviation_and_of_angles_that_of_differences(
 
 def test_columns_are_printed_where_there_is_something_to_print():
     plain = report(Row("speed (m/s)", [1.25, 1.75], digits=".2f"), remarks=["  a remark"])
-    assert re.search(r"^ +nominal  ± ensemble$", plain, re.M)
+    assert re.search(r"^ +nominal +± std$", plain, re.M)
     assert re.search(r"^  speed \(m/s\) +1.25 +0.35$", plain, re.M)
     assert plain.endswith("\n  a remark\n  2 of 2 members converged at every step")
     exact = report(Row("period", 1.0, closed_form=1.5), Row("rate", np.nan, closed_form=np.nan))
-    assert re.search(r"nominal  ± ensemble +closed form +difference$", exact, re.M)
+    assert re.search(r"nominal +± std +closed form +difference$", exact, re.M)
     assert re.search(r"^  period +1.0000000000 +— +1.5000000000 +-5.0e-01$", exact, re.M)
     assert re.search(r"^  rate +— +— +— +—$", exact, re.M)
     cited = report(Row("period", [2.25, 2.5], [BOOK, Published(3, source="another")]))
