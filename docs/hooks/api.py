@@ -1,12 +1,14 @@
 """API pages list a room's functions before its classes: `::: functions of NAME` and `::: classes of NAME` on a page.
 
-Both stand for the public names: those of `__all__`, else what the module defines. After the build, objects.inv, by
-which sites of other projects link to this one (intersphinx), must have every public name.
+Both stand for the public names: those of `__all__`, else what the module defines. To the classes belong those that
+public functions return, such as the result of a measurement, also where they have no name in the room. After the build,
+objects.inv, by which sites of other projects link to this one (intersphinx), must have every public name.
 """
 
 import importlib
 import inspect
 import re
+import typing
 import zlib
 from pathlib import Path
 
@@ -33,8 +35,31 @@ def _members(found):
     called = {getattr(room, x): x for x in _public(room) if _is_called(room, x)}  # a class with a name that is called
     chosen = [x for x in _public(room) if _is_called(room, x) == (kind == "functions")]
     chosen = [x for x in chosen if called.get(getattr(room, x), x) == x]
-    members = "\n\n".join(_member(room, x) for x in chosen)
+    members = "\n\n".join(
+        [_member(room, x) for x in chosen] + [f"::: {x}" for x in _results(room) if kind == "classes"]
+    )
     return INTRODUCTION.format(name) + members if kind == "functions" else members
+
+
+def _results(room):
+    """The paths of the classes that the functions of a room return, and that are not public themselves."""
+    functions = [getattr(room, x) for x in _public(room) if inspect.isfunction(getattr(room, x))]
+    returned = {x for function in functions for x in _classes(_return_type(function))}
+    own = (x for x in returned if x.__module__.startswith(f"{room.__name__}._") and x.__name__ not in _public(room))
+    return sorted(f"{x.__module__}.{x.__name__}" for x in own)
+
+
+def _return_type(function):
+    """What a function returns; None if only type checkers import a name in it."""
+    try:
+        return eval(str(function.__annotations__.get("return")), function.__globals__)
+    except NameError:
+        return None
+
+
+def _classes(hint):
+    """The classes that an annotation names."""
+    return [hint] if inspect.isclass(hint) else [x for part in typing.get_args(hint) for x in _classes(part)]
 
 
 def _member(room, name):

@@ -17,30 +17,22 @@
 """
 
 from lieint_jax.diagnostics._certify import Certificate, certify
-from lieint_jax.diagnostics._chaos import Lyapunov, Megno, lyapunov, megno, section
-from lieint_jax.diagnostics._conditions import Conditions, conditions
-from lieint_jax.diagnostics._equilibrium import Equilibrium, equilibrium
-from lieint_jax.diagnostics._group_conservation import GroupConservation, group_conservation, random_geodesic
+from lieint_jax.diagnostics._chaos import lyapunov, megno, section
+from lieint_jax.diagnostics._conditions import conditions
+from lieint_jax.diagnostics._equilibrium import equilibrium
+from lieint_jax.diagnostics._group_conservation import group_conservation, random_geodesic
 from lieint_jax.diagnostics._local_error import local_error
 from lieint_jax.diagnostics._modified_energy import modified_energy
 from lieint_jax.diagnostics._neighbors import exponent_of_neighbors, exponents_of_flow
-from lieint_jax.diagnostics._normal_modes import NormalModes, normal_modes
+from lieint_jax.diagnostics._normal_modes import normal_modes
 from lieint_jax.diagnostics._order import flow, order, reversibility, round_trip_error
 from lieint_jax.diagnostics._poisson import poisson_error
 from lieint_jax.diagnostics._runge_kutta import RungeKutta, step_cost
 from lieint_jax.diagnostics._symplectic import linearization, symplectic_defect
-from lieint_jax.diagnostics._thermal import ThermalCertificate
 
 __all__ = [
     "Certificate",
-    "Conditions",
-    "Equilibrium",
-    "GroupConservation",
-    "Lyapunov",
-    "Megno",
-    "NormalModes",
     "RungeKutta",
-    "ThermalCertificate",
     "certify",
     "conditions",
     "equilibrium",

@@ -15,11 +15,11 @@
 """
 
 from lieint_jax.files._aem import Attitudes, read_aem, write_aem
-from lieint_jax.files._csv_log import Log, read_csv_log, write_csv
+from lieint_jax.files._csv_log import read_csv_log, write_csv
 from lieint_jax.files._describe import describe
 from lieint_jax.files._horizons import read_ephemeris_csv, read_horizons
 from lieint_jax.files._identify import identify
-from lieint_jax.files._light_curves import LightCurve, read_light_curve, read_light_curves
+from lieint_jax.files._light_curves import read_light_curve, read_light_curves
 from lieint_jax.files._molecules import Atoms, Superposition, read_molecule, read_molecules
 from lieint_jax.files._oem import read_oem, write_oem
 from lieint_jax.files._orbit_table import OrbitTable
@@ -31,8 +31,6 @@ __all__ = [
     "Atoms",
     "Attitudes",
     "Elements",
-    "LightCurve",
-    "Log",
     "MeanElements",
     "OrbitTable",
     "Superposition",

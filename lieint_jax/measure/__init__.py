@@ -25,11 +25,8 @@ Angles are in radians, times in the run's unit. A run of one body gives scalars 
 and (times, members), also where each member has its own step. What a run does not show is NaN.
 """
 
-from lieint_jax.measure._attitude import MeasuredPeriods, Pole, pole, rotation_rates, tilt, tumbling_periods
+from lieint_jax.measure._attitude import pole, rotation_rates, tilt, tumbling_periods
 from lieint_jax.measure._combinations import (
-    Combination,
-    DoublePeriods,
-    Sine,
     chance_of_match,
     combination,
     combinations,
@@ -37,10 +34,9 @@ from lieint_jax.measure._combinations import (
     equivalent_pairs,
     sines,
 )
-from lieint_jax.measure._distances import PairDensity, distances, pair_density
+from lieint_jax.measure._distances import distances, pair_density
 from lieint_jax.measure._equal_light import (
     SPACE_CHANGES,
-    LightChange,
     SpinStates,
     classify_light,
     is_light_symmetry,
@@ -48,40 +44,16 @@ from lieint_jax.measure._equal_light import (
     light_differences,
 )
 from lieint_jax.measure._light import SUN_RADIUS, brightness, glossy_brightness, lambert, light_curve
-from lieint_jax.measure._nutation import Nutation, nutation
-from lieint_jax.measure._orbit import OrbitAngles, orbit_angles, orbit_axes
-from lieint_jax.measure._relative_motion import (
-    Apsides,
-    Librations,
-    PairEnergies,
-    RelativeMotion,
-    apsides,
-    librations,
-    pair_energies,
-    relative_motion,
-)
+from lieint_jax.measure._nutation import nutation
+from lieint_jax.measure._orbit import orbit_angles, orbit_axes
+from lieint_jax.measure._relative_motion import RelativeMotion, apsides, librations, pair_energies, relative_motion
 from lieint_jax.measure._series import captured_since, first_below, is_librating, mean_rate, unwrapped
-from lieint_jax.measure._spectrum import Line, Periodogram, Spectrum, complex_rates, line, periodogram, spectrum
+from lieint_jax.measure._spectrum import complex_rates, line, periodogram, spectrum
 
 __all__ = [
     "SPACE_CHANGES",
     "SUN_RADIUS",
-    "Apsides",
-    "Combination",
-    "DoublePeriods",
-    "Librations",
-    "LightChange",
-    "Line",
-    "MeasuredPeriods",
-    "Nutation",
-    "OrbitAngles",
-    "PairDensity",
-    "PairEnergies",
-    "Periodogram",
-    "Pole",
     "RelativeMotion",
-    "Sine",
-    "Spectrum",
     "SpinStates",
     "apsides",
     "brightness",

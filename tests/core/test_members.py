@@ -31,6 +31,7 @@ def batch(members, full=False):
     return bodies, run, rates, (J * rates**2).sum(1) / 2
 
 
+@pytest.mark.quick
 @pytest.mark.parametrize(("members", "full"), [(5, False), (3, True), (3, False)])
 def test_each_member_is_measured_with_its_own_system(members, full):
     """Three sets of moments (3, 3), too, which look like one tensor."""

@@ -4,6 +4,7 @@ import ast
 import graphlib
 import importlib
 import inspect
+import re
 import subprocess
 import sys
 import tokenize
@@ -211,6 +212,15 @@ def test_dir_lists_the_public_names_only():
     assert all(hasattr(li, name) for name in dir(li))
     for module in PUBLIC_MODULES:
         assert all(hasattr(module, name) for name in module.__all__)
+        assert dir(module) == sorted(module.__all__), module.__name__
+
+
+def test_rooms_have_as_many_public_names_as_their_budgets():
+    """The table of docs/maintaining.md, where a new name says which one leaves."""
+    text = (TESTS.parent / "docs" / "maintaining.md").read_text(encoding="utf-8")
+    budgets = {name: int(n) for name, n in re.findall(r"^\| `(li[.\w]*)` \| (\d+) \|", text, re.M)}
+    rooms = {f"li.{name}": getattr(li, name) for name in li.__all__ if inspect.ismodule(getattr(li, name))}
+    assert {name: len(room.__all__) for name, room in {"li": li, **rooms}.items()} == budgets
 
 
 @pytest.mark.parametrize("name", data_files.text("contract.txt").split())
